@@ -1,0 +1,109 @@
+"""The plant's own reading of an airframe file, and its perturbation."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantParameters:
+    """What the plant is made of. Arrays carry a leading vehicle axis N, so that each vehicle may differ."""
+
+    name: str
+    mass_kg: np.ndarray  # (N,)
+    inertia_kg_m2: np.ndarray  # (N, 3)
+    position_m: np.ndarray  # (m, 2) x forward, y right
+    spin: np.ndarray  # (m,) +1: torque on the airframe about +z (rotor turns counter-clockwise seen from above)
+    max_thrust_n: np.ndarray  # (N, m)
+    time_constant_up_s: np.ndarray  # (N,)
+    time_constant_down_s: np.ndarray  # (N,)
+    torque_per_thrust_m: np.ndarray  # (N,)
+    rotor_inertia_kg_m2: float
+    max_speed_rad_s: float
+    thrust_expo: float
+    spin_min: float
+    spin_max: float
+    pwm_min: float
+    pwm_max: float
+    gyro_filter_hz: float
+    accelerometer_filter_hz: float
+    drag_area_m2: np.ndarray  # (3,)
+    rotor_drag_n_s_per_m: float
+    pressure_centre_m: np.ndarray  # (3,)
+
+    @property
+    def vehicles(self) -> int:
+        return int(self.mass_kg.shape[0])
+
+    @property
+    def motors(self) -> int:
+        return int(self.position_m.shape[0])
+
+    def perturbed(self, *, fraction: float, generators: list[np.random.Generator]) -> PlantParameters:
+        """Mass, each inertia and each motor's thrust drawn uniformly within +- ``fraction`` for every vehicle.
+
+        The thrust error is one factor for all motors of a vehicle (air density, propellers of one kind), as a
+        weighing scale and a thrust stand would miss it.
+        """
+        scale = np.array([1.0 + fraction * g.uniform(-1.0, 1.0, 5) for g in generators])
+        return replace(
+            self,
+            mass_kg=self.mass_kg * scale[:, 0],
+            inertia_kg_m2=self.inertia_kg_m2 * scale[:, 1:4],
+            max_thrust_n=self.max_thrust_n * scale[:, 4:5],
+        )
+
+
+def _rotor_position(rotor: dict[str, Any]) -> tuple[float, float]:
+    if "angle_deg" in rotor:
+        angle = math.radians(rotor["angle_deg"])
+        return rotor["arm_m"] * math.cos(angle), rotor["arm_m"] * math.sin(angle)
+    return rotor["x_m"], rotor["y_m"]
+
+
+def load(path: Path, *, vehicles: int = 1, thrust_to_weight: float | None = None) -> PlantParameters:
+    """Read an airframe TOML for ``vehicles`` identical plants.
+
+    ``thrust_to_weight`` replaces the file's maximum thrust. Raises OSError or KeyError on an unreadable file.
+    """
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    frame, motor, command = data["airframe"], data["motor"], data["command"]
+    telemetry, aero, rotors = data["telemetry"], data["aerodynamics"], data["rotor"]
+    max_thrust = float(motor["max_thrust_n"])
+    if thrust_to_weight is not None:
+        max_thrust = thrust_to_weight * frame["mass_kg"] * GRAVITY_M_S2 / len(rotors)
+
+    def per_vehicle(value: float) -> np.ndarray:
+        return np.full(vehicles, float(value))
+
+    return PlantParameters(
+        name=frame["name"],
+        mass_kg=per_vehicle(frame["mass_kg"]),
+        inertia_kg_m2=np.tile(np.asarray(frame["inertia_kg_m2"], float), (vehicles, 1)),
+        position_m=np.array([_rotor_position(r) for r in rotors]),
+        spin=np.array([{"ccw": 1.0, "cw": -1.0}[r["spin"]] for r in rotors]),
+        max_thrust_n=np.full((vehicles, len(rotors)), max_thrust),
+        time_constant_up_s=per_vehicle(motor["time_constant_up_s"]),
+        time_constant_down_s=per_vehicle(motor["time_constant_down_s"]),
+        torque_per_thrust_m=per_vehicle(motor["torque_per_thrust_m"]),
+        rotor_inertia_kg_m2=float(motor["rotor_inertia_kg_m2"]),
+        max_speed_rad_s=float(motor["max_speed_rad_s"]),
+        thrust_expo=float(command["thrust_expo"]),
+        spin_min=float(command["spin_min"]),
+        spin_max=float(command["spin_max"]),
+        pwm_min=float(command["pwm_min"]),
+        pwm_max=float(command["pwm_max"]),
+        gyro_filter_hz=float(telemetry["gyro_filter_hz"]),
+        accelerometer_filter_hz=float(telemetry["accelerometer_filter_hz"]),
+        drag_area_m2=np.asarray(aero["drag_area_m2"], float),
+        rotor_drag_n_s_per_m=float(aero["rotor_drag_n_s_per_m"]),
+        pressure_centre_m=np.asarray(aero["pressure_centre_m"], float),
+    )

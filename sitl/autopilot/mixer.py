@@ -1,0 +1,108 @@
+"""Motor mixing that keeps roll and pitch over yaw, and attitude over thrust, when motors saturate.
+
+After AP_MotorsMatrix::output_armed_stabilizing and Thrust_Linearization (Copter 4.7), without thrust boost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+YAW_HEADROOM = 0.2  # MOT_YAW_HEADROOM
+
+
+def stock_factors(position_m: np.ndarray, spin: np.ndarray) -> np.ndarray:
+    """Factors (m, 4) of throttle, roll, pitch, yaw, scaled so that the largest of each attitude axis is 0.5."""
+    x, y = position_m[:, 0], position_m[:, 1]
+    factors = np.stack([np.ones_like(x), -y, x, spin], axis=1)
+    return factors * np.array([1.0, 0.5 / np.abs(y).max(), 0.5 / np.abs(x).max(), 0.5])
+
+
+def normalised_effectiveness(position_m: np.ndarray, spin: np.ndarray) -> np.ndarray:
+    """Rows of thrust, roll, pitch, yaw (4, m), each over the sum of its positive entries.
+
+    This is the unit of a matrix that comes over the link: 1 is all that the motors could give on that axis.
+    """
+    x, y = position_m[:, 0], position_m[:, 1]
+    rows = np.stack([np.ones_like(x), -y, x, spin])
+    return rows / np.maximum(rows, 0.0).sum(axis=1, keepdims=True)
+
+
+@dataclass(slots=True)
+class Limits:
+    """Which demands could not be met in the last step, (N,) each."""
+
+    roll_pitch: np.ndarray
+    yaw: np.ndarray
+    throttle_upper: np.ndarray
+    throttle_lower: np.ndarray
+
+
+def mix(
+    factors: np.ndarray, demand: np.ndarray, throttle_mean_max: np.ndarray, dead: np.ndarray
+) -> tuple[np.ndarray, Limits]:
+    """Motor thrusts (N, m) in 0..1 for ``demand`` (N, 4) = throttle 0..1, roll, pitch, yaw -1..1.
+
+    ``factors`` (N, m, 4); ``dead`` (N, m) marks motors that take no part in the limits (declared failed).
+    """
+    throttle = np.clip(demand[:, 0], 0.0, 1.0)
+    mean_max = np.clip(throttle_mean_max, throttle, 1.0)
+    roll_pitch = np.einsum("nmk,nk->nm", factors[:, :, 1:3], demand[:, 1:3])
+    best = np.minimum(0.5, mean_max)[:, None] + roll_pitch
+    yaw_factor = factors[:, :, 3]
+    upward = demand[:, 3:4] * yaw_factor > 0.0
+    room = np.maximum(np.where(upward, 1.0 - best, best), 0.0)
+    size = np.abs(yaw_factor)
+    counts = (size > 1e-6) & ~dead
+    allowed = np.where(counts, room / np.where(counts, size, 1.0), 1.0).min(axis=1)
+    allowed = np.maximum(np.minimum(allowed, 1.0), YAW_HEADROOM)
+    yaw = np.clip(demand[:, 3], -allowed, allowed)
+    yaw_limited = np.abs(demand[:, 3]) > allowed
+
+    attitude = roll_pitch + yaw[:, None] * yaw_factor
+    low = np.where(dead, np.inf, attitude).min(axis=1)
+    high = np.where(dead, -np.inf, attitude).max(axis=1)
+    span = high - low
+    scale = np.where(span > 1.0, 1.0 / np.maximum(span, 1e-9), 1.0)
+    short = mean_max + low < 0.0
+    scale = np.where(short, np.minimum(scale, -mean_max / np.where(short, low, -1.0)), scale)
+    high, low = high * scale, low * scale
+    floor = -low
+    adjust = throttle - floor
+    scaled = scale < 1.0
+    ceiling = 1.0 - (floor + high)
+    upper = np.where(scaled, adjust > 0.0, adjust > ceiling)
+    adjust = np.where(scaled, 0.0, np.clip(adjust, 0.0, np.maximum(ceiling, 0.0)))
+    thrust = (floor + adjust)[:, None] * factors[:, :, 0] + scale[:, None] * attitude
+    limits = Limits(
+        roll_pitch=scaled, yaw=scaled | yaw_limited, throttle_upper=upper, throttle_lower=demand[:, 0] <= 0.0
+    )
+    return np.clip(thrust, 0.0, 1.0), limits
+
+
+def thrust_to_output(thrust: np.ndarray, expo: float, spin_min: float, spin_max: float) -> np.ndarray:
+    """Actuator output 0..1 for a thrust 0..1: the inverse of the motor's curve, above the idle speed."""
+    if expo == 0.0:
+        ratio = thrust
+    else:
+        ratio = ((expo - 1.0) + np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)) / (2.0 * expo)
+    return spin_min + (spin_max - spin_min) * ratio
+
+
+def reduced_factors(position_m: np.ndarray, spin: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
+    """Stock factors for the motors left, by pseudo-inverse, in the stock's units; None where they cannot balance.
+
+    What the autopilot holds on its own after the link to the companion is lost with a confirmed declaration.
+    """
+    stock = stock_factors(position_m, spin)
+    x, y = position_m[:, 0], position_m[:, 1]
+    rows = np.stack([np.ones_like(x), -y, x, spin])
+    gain = rows @ stock
+    left = rows * ~failed
+    if np.linalg.matrix_rank(left, tol=1e-6) < 4:
+        return None
+    factors = np.linalg.pinv(left) @ np.diag(np.diag(gain))
+    factors[failed] = 0.0
+    # A negative share of the collective cannot be flown.
+    return factors if (factors[~failed, 0] > 0.02).all() else None

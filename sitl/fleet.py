@@ -1,0 +1,90 @@
+"""Plant, wind, sensors and autopilot of N vehicles, stepped together in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl import rotation
+from sitl.airframe import PlantParameters
+from sitl.autopilot.autopilot import Autopilot, Mode
+from sitl.faults import Fault, FaultSchedule
+from sitl.noise import vehicle_generators
+from sitl.plant import Plant, initial_state
+from sitl.sensors import Sensors
+from sitl.wind import Wind
+
+PLANT_RATE_HZ = 1200
+AUTOPILOT_RATE_HZ = 400
+_RATIO = PLANT_RATE_HZ // AUTOPILOT_RATE_HZ
+CRASH_TILT_RAD = np.radians(90.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetOptions:
+    """How the fleet flies. ``seeds``: one per vehicle. Wind direction is drawn from the seed."""
+
+    seeds: list[int]
+    model_error: float = 0.0
+    wind_m_s: float = 0.0
+    turbulence_m_s: float = 0.0
+    height_m: float = 0.0
+    gusts: np.ndarray | None = None
+
+
+class Fleet:
+    """``step`` advances one autopilot period (2.5 ms). Crashed vehicles stay where they fell."""
+
+    def __init__(self, nominal: PlantParameters, options: FleetOptions, faults: list[Fault] | None = None) -> None:
+        seeds = options.seeds
+        dt = 1.0 / PLANT_RATE_HZ
+        draw = vehicle_generators(seeds, 0)
+        self.parameters = nominal.perturbed(fraction=options.model_error, generators=draw)
+        hover_error = options.model_error * np.array([g.uniform(-1, 1) for g in draw])
+        heading = np.array([g.uniform(0, 2 * np.pi) for g in draw])
+        mean = options.wind_m_s * np.stack([np.cos(heading), np.sin(heading), np.zeros(len(seeds))], axis=1)
+        sigma = np.full(len(seeds), options.turbulence_m_s)
+        self.wind = Wind(mean, sigma, dt, vehicle_generators(seeds, 1), options.gusts)
+        self.sensors = Sensors(self.parameters, dt, vehicle_generators(seeds, 2))
+        self.plant = Plant(self.parameters, dt)
+        self.state = initial_state(self.parameters, height_m=options.height_m)
+        self.faults = FaultSchedule(len(seeds), nominal.motors, faults or [])
+        self.autopilot = Autopilot(self.parameters, 1.0 / AUTOPILOT_RATE_HZ, hover_error)
+        self.cycle = 0
+        self.max_tilt_rad = np.zeros(len(seeds))
+        self._in_air_start = options.height_m > 0.0
+        if self._in_air_start:
+            hover = np.minimum(self.parameters.mass_kg * 9.80665 / nominal.motors, self.parameters.max_thrust_n[:, 0])
+            self.state.thrust_n[:] = hover[:, None]
+        for _ in range(PLANT_RATE_HZ // 20):  # the filters settle before the autopilot looks
+            self.sensors.step(self.state, self.plant.specific_force(self.state))
+        if self._in_air_start:
+            self.autopilot.start_in_air(self.sensors.measured)
+
+    @property
+    def vehicles(self) -> int:
+        return self.parameters.vehicles
+
+    @property
+    def time_s(self) -> float:
+        return self.cycle / AUTOPILOT_RATE_HZ
+
+    def step(self) -> None:
+        """One autopilot cycle and the plant steps that follow it."""
+        output = self.autopilot.step(self.sensors.measured, self.time_s)
+        for k in range(_RATIO):
+            time_s = self.time_s + k / PLANT_RATE_HZ
+            effectiveness, stuck = self.faults.at(time_s)
+            self.plant.step(self.state, output, effectiveness, stuck, self.wind.step(time_s))
+            self.sensors.step(self.state, self.plant.specific_force(self.state))
+        self.cycle += 1
+        self._judge()
+
+    def _judge(self) -> None:
+        """Latch crashes: ground contact other than a commanded landing, or tilt past 90 degrees."""
+        state, autopilot = self.state, self.autopilot
+        tilt = rotation.tilt_of(state.quaternion)
+        self.max_tilt_rad = np.where(state.crashed, self.max_tilt_rad, np.maximum(self.max_tilt_rad, tilt))
+        airborne = autopilot.armed & (autopilot.mode == Mode.GUIDED) & (autopilot.position.path[:, 2] < -1.0)
+        state.crashed = state.crashed | (tilt > CRASH_TILT_RAD) | (state.on_ground & airborne)

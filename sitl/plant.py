@@ -1,0 +1,128 @@
+"""The rigid body with its rotors: semi-implicit Euler at a fixed step, N vehicles in one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl import rotation
+from sitl.airframe import GRAVITY_M_S2, PlantParameters
+
+AIR_DENSITY_KG_M3 = 1.225
+_BATTERY_SAG = 0.06  # loss of full-charge voltage at full load
+_BATTERY_DRAIN_PER_S = 3.0e-5  # of full-charge voltage, per second at full load
+
+
+@dataclass(slots=True)
+class PlantState:
+    """NED position and velocity, body-to-NED quaternion, body rates, thrust of each rotor, battery."""
+
+    position_m: np.ndarray  # (N, 3)
+    velocity_m_s: np.ndarray  # (N, 3)
+    quaternion: np.ndarray  # (N, 4)
+    rate_rad_s: np.ndarray  # (N, 3)
+    thrust_n: np.ndarray  # (N, m)
+    held_command: np.ndarray  # (N, m) last command while the motor was not stuck
+    battery: np.ndarray  # (N,) open-circuit voltage over full charge
+    acceleration_m_s2: np.ndarray  # (N, 3) NED, gravity included, of the last step
+    on_ground: np.ndarray  # (N,) bool
+    crashed: np.ndarray  # (N,) bool, latched
+
+
+def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad: float = 0.0) -> PlantState:
+    """Vehicles at rest at ``height_m`` above the ground; at height 0 they stand on it."""
+    n, m = parameters.vehicles, parameters.motors
+    position = np.zeros((n, 3))
+    position[:, 2] = -height_m
+    return PlantState(
+        position_m=position,
+        velocity_m_s=np.zeros((n, 3)),
+        quaternion=rotation.from_yaw(np.full(n, yaw_rad)),
+        rate_rad_s=np.zeros((n, 3)),
+        thrust_n=np.zeros((n, m)),
+        held_command=np.zeros((n, m)),
+        battery=np.ones(n),
+        acceleration_m_s2=np.zeros((n, 3)),
+        on_ground=np.full(n, height_m <= 0.0),
+        crashed=np.zeros(n, bool),
+    )
+
+
+class Plant:
+    """Steps the state; holds only constants, and the mass, which may change in flight (a dropped payload)."""
+
+    def __init__(self, parameters: PlantParameters, dt_s: float) -> None:
+        self.parameters, self.dt_s = parameters, dt_s
+        self.mass_kg = parameters.mass_kg.copy()
+        x, y = parameters.position_m[:, 0], parameters.position_m[:, 1]
+        self._arm = np.stack([-y, x], axis=1)  # roll, pitch torque per N of thrust, (m, 2)
+        with np.errstate(divide="ignore"):
+            self._share_up = 1 - np.exp(-dt_s / parameters.time_constant_up_s)[:, None]
+            self._share_down = 1 - np.exp(-dt_s / parameters.time_constant_down_s)[:, None]
+
+    def thrust_fraction(self, output: np.ndarray) -> np.ndarray:
+        """Thrust over full thrust of the motor output (N, m) in 0..1 (command to thrust curve)."""
+        p = self.parameters
+        c = np.clip((output - p.spin_min) / (p.spin_max - p.spin_min), 0.0, 1.0)
+        return (1 - p.thrust_expo) * c + p.thrust_expo * c * c
+
+    def step(
+        self, state: PlantState, output: np.ndarray, effectiveness: np.ndarray, stuck: np.ndarray, wind_m_s: np.ndarray
+    ) -> None:
+        """Advance ``state`` in place by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
+        p, dt = self.parameters, self.dt_s
+        state.held_command = np.where(stuck, state.held_command, output)
+        load = state.thrust_n.sum(axis=1) / p.max_thrust_n.sum(axis=1)
+        state.battery = state.battery - _BATTERY_DRAIN_PER_S * load * dt
+        voltage = state.battery - _BATTERY_SAG * load
+        target = p.max_thrust_n * self.thrust_fraction(state.held_command) * effectiveness * (voltage**2)[:, None]
+        share = np.where(target > state.thrust_n, self._share_up, self._share_down)
+        thrust_before = state.thrust_n
+        state.thrust_n = thrust_before + share * (target - thrust_before)
+
+        matrix = rotation.to_matrix(state.quaternion)
+        air = np.einsum("nji,nj->ni", matrix, state.velocity_m_s - wind_m_s)  # air speed in the body frame
+        speed = np.sqrt(state.thrust_n / p.max_thrust_n)  # rotor speed over full speed
+        speed_rate = (speed - np.sqrt(thrust_before / p.max_thrust_n)) / dt
+        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
+        # damping of climb, roll and pitch; the axial speed is that of the hub.
+        axial = air[:, 2:3] - state.rate_rad_s[:, :2] @ self._arm.T
+        thrust = state.thrust_n + p.rotor_drag_n_s_per_m * speed * axial
+
+        drag = -0.5 * AIR_DENSITY_KG_M3 * p.drag_area_m2 * np.abs(air) * air
+        rotor_drag = -p.rotor_drag_n_s_per_m * speed.sum(axis=1)[:, None] * air[:, :2]
+        force = drag.copy()
+        force[:, :2] += rotor_drag
+        force[:, 2] -= thrust.sum(axis=1)
+
+        torque = np.empty_like(state.rate_rad_s)
+        torque[:, :2] = thrust @ self._arm
+        reaction = p.torque_per_thrust_m[:, None] * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
+        torque[:, 2] = reaction @ p.spin
+        torque += np.cross(p.pressure_centre_m, drag)
+        # Rotors turn against their reaction torque: spin +1 spins about -z.
+        spin_momentum = -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+        momentum = p.inertia_kg_m2 * state.rate_rad_s
+        momentum[:, 2] += spin_momentum
+        rate_dot = (torque - np.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
+
+        acceleration = np.einsum("nij,nj->ni", matrix, force) / self.mass_kg[:, None]
+        acceleration[:, 2] += GRAVITY_M_S2
+        flying = ~(state.on_ground & (acceleration[:, 2] >= 0.0)) & ~state.crashed
+        fly = flying[:, None]
+        state.acceleration_m_s2 = np.where(fly, acceleration, 0.0)
+        state.velocity_m_s = np.where(fly, state.velocity_m_s + dt * acceleration, 0.0)
+        state.position_m = state.position_m + dt * state.velocity_m_s
+        state.rate_rad_s = np.where(fly, state.rate_rad_s + dt * rate_dot, 0.0)
+        turned = rotation.multiply(state.quaternion, rotation.from_rotation_vector(dt * state.rate_rad_s))
+        state.quaternion = rotation.normalise(turned)
+        state.on_ground = state.position_m[:, 2] >= 0.0
+        # The ground holds what stands on it, level as it stood.
+        state.position_m[:, 2] = np.minimum(state.position_m[:, 2], 0.0)
+
+    def specific_force(self, state: PlantState) -> np.ndarray:
+        """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""
+        without_gravity = state.acceleration_m_s2.copy()
+        without_gravity[:, 2] -= GRAVITY_M_S2
+        return np.einsum("nji,nj->ni", rotation.to_matrix(state.quaternion), without_gravity)

@@ -1,0 +1,92 @@
+"""Quaternions (w, x, y, z), body to NED, over arrays (..., 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def conjugate(q: np.ndarray) -> np.ndarray:
+    return q * _CONJUGATE
+
+
+def normalise(q: np.ndarray) -> np.ndarray:
+    return q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None]
+
+
+def to_matrix(q: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3), body to NED."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    out = np.empty((*q.shape[:-1], 3, 3))
+    out[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    out[..., 0, 1] = 2 * (x * y - w * z)
+    out[..., 0, 2] = 2 * (x * z + w * y)
+    out[..., 1, 0] = 2 * (x * y + w * z)
+    out[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    out[..., 1, 2] = 2 * (y * z - w * x)
+    out[..., 2, 0] = 2 * (x * z - w * y)
+    out[..., 2, 1] = 2 * (y * z + w * x)
+    out[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return out
+
+
+def from_rotation_vector(v: np.ndarray) -> np.ndarray:
+    angle = np.sqrt(np.einsum("...i,...i->...", v, v))
+    half = 0.5 * angle
+    scale = np.where(angle > 1e-9, np.sin(half) / np.where(angle > 1e-9, angle, 1.0), 0.5)
+    return np.concatenate([np.cos(half)[..., None], scale[..., None] * v], axis=-1)
+
+
+def from_yaw(yaw_rad: np.ndarray) -> np.ndarray:
+    out = np.zeros((*np.shape(yaw_rad), 4))
+    out[..., 0] = np.cos(0.5 * yaw_rad)
+    out[..., 3] = np.sin(0.5 * yaw_rad)
+    return out
+
+
+def yaw_of(q: np.ndarray) -> np.ndarray:
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def tilt_of(q: np.ndarray) -> np.ndarray:
+    """Angle in rad between the body's and the world's vertical."""
+    return np.arccos(np.clip(1 - 2 * (q[..., 1] ** 2 + q[..., 2] ** 2), -1.0, 1.0))
+
+
+def wrap(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def swing_and_twist(q: np.ndarray) -> np.ndarray:
+    """Error vector (..., 3): swing of the z axis (x, y) and twist about it (z), in rad, of q = swing * twist."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    w, z = q[..., 0], q[..., 3]
+    norm = np.sqrt(w * w + z * z)
+    safe = np.where(norm > 1e-9, norm, 1.0)
+    twist = np.zeros_like(q)
+    twist[..., 0] = np.where(norm > 1e-9, w / safe, 1.0)
+    twist[..., 3] = np.where(norm > 1e-9, z / safe, 0.0)
+    swing = multiply(q, conjugate(twist))
+    sine = np.hypot(swing[..., 1], swing[..., 2])
+    angle = 2 * np.arctan2(sine, swing[..., 0])
+    scale = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 2.0)
+    return np.stack(
+        [scale * swing[..., 1], scale * swing[..., 2], 2 * np.arctan2(twist[..., 3], twist[..., 0])], axis=-1
+    )
