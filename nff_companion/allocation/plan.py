@@ -1,0 +1,56 @@
+"""From an effectiveness estimate to a matrix that may be sent: which axes to keep, verified, with what is lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nff_companion.allocation import Allocator, authority, problem_for
+from nff_companion.allocation.problem import YAW
+from nff_companion.allocation.verify import fault_of
+from nff_companion.errors import AllocationInfeasible, SolverError
+
+# Below this share of full torque left for roll or pitch at hover, yaw is given up for them.
+ATTITUDE_AUTHORITY_MIN = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """``matrix`` (m, n) verified; ``released`` axes given up; ``unallocated`` (n,) demand not met at hover."""
+
+    matrix: np.ndarray
+    released: tuple[int, ...]
+    authority: np.ndarray  # (n - 1,)
+    unallocated: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refusal:
+    """No matrix may be sent, and why."""
+
+    reason: str
+
+
+def make_plan(allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarray, hover: float) -> Plan | Refusal:
+    """Matrix for motor ``effectiveness`` (m,): all axes when roll and pitch keep authority, else without yaw."""
+    reason = ""
+    for released in ((), (YAW,)):
+        try:
+            problem = problem_for(nominal, effectiveness, hover, released)
+            matrix = allocate(problem)
+        except (AllocationInfeasible, SolverError, np.linalg.LinAlgError) as error:
+            reason = str(error)
+            continue
+        reason = fault_of(matrix, problem) or ""
+        if reason:
+            continue
+        left = authority(matrix, hover)
+        if not released and left[: YAW - 1].min() < ATTITUDE_AUTHORITY_MIN:
+            reason = f"roll/pitch authority at hover only {left[: YAW - 1].min():.2f}"
+            continue
+        demand = np.zeros(nominal.shape[0])
+        demand[0] = hover
+        given = problem.effectiveness @ np.clip(matrix @ demand, 0.0, 1.0)
+        return Plan(matrix=matrix, released=released, authority=left, unallocated=demand - given)
+    return Refusal(reason=reason)

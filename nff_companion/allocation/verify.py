@@ -1,0 +1,35 @@
+"""Every matrix is checked before it leaves the process."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nff_companion.allocation.problem import Problem
+
+IDENTITY_TOLERANCE = 1e-6
+GAIN_MAX = 6.0  # largest entry allowed; 1 is the healthy octorotor's, an octorotor with two dead stays below 3
+
+
+def fault_of(matrix: np.ndarray, problem: Problem) -> str | None:
+    """What is wrong with A (m, n) for ``problem``; None when it may be used.
+
+    Checks: shape, finite, B A = I on the axes kept, gain bound, removed motors idle, hover within 0..1.
+    """
+    axes, motors = problem.effectiveness.shape
+    if matrix.shape != (motors, axes):
+        return f"shape {matrix.shape}, expected {(motors, axes)}"
+    if not np.isfinite(matrix).all():
+        return "entries are not finite"
+    largest = float(np.abs(matrix).max())
+    if largest > GAIN_MAX:
+        return f"gain {largest:.1f} exceeds {GAIN_MAX}"
+    kept = problem.kept
+    error = float(np.abs((problem.effectiveness @ matrix)[np.ix_(kept, kept)] - np.eye(int(kept.sum()))).max())
+    if error > IDENTITY_TOLERANCE:
+        return f"B A differs from I by {error:.1e}"
+    if np.any(matrix[~problem.active] != 0.0):
+        return "a removed motor is driven"
+    trim = matrix[:, 0] * problem.hover
+    if trim.min() < -1e-9 or trim.max() > 1.0 + 1e-9:
+        return f"hover needs motor thrusts from {trim.min():.2f} to {trim.max():.2f}, outside 0..1"
+    return None

@@ -1,0 +1,29 @@
+"""Errors: one base class; each message says what was wrong, with which value, and what to do."""
+
+
+class NffError(Exception):
+    """Base of all errors raised on purpose by this package."""
+
+
+class ConfigError(NffError, ValueError):
+    """A configuration or airframe file cannot be used."""
+
+
+class EndpointError(NffError, OSError):
+    """A link endpoint cannot be opened or was lost."""
+
+
+class LogError(NffError, ValueError):
+    """A flight log cannot be read or lacks what is needed."""
+
+
+class AllocationInfeasible(NffError, ArithmeticError):
+    """No allocation matrix exists for the motors left."""
+
+
+class SolverError(NffError, ArithmeticError):
+    """A solver returned no usable solution."""
+
+
+class MissingExtra(NffError, ImportError):
+    """An optional package is not installed."""

@@ -1,0 +1,165 @@
+"""One step of estimation: telemetry in; residual, sparse effectiveness and decisions out. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from nff_companion.estimation import hypotheses, sparse
+from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Event, Hypothesis
+from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, DisturbanceState
+from nff_companion.estimation.onset import OnsetBank, OnsetState
+from nff_companion.estimation.residual import ResidualFilter, ResidualState
+from nff_companion.vehicle import Vehicle
+
+_SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypotheses are compared
+_LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
+_LEARN_FAST_RATE = 6.0
+_FREEZE_MAX_S = 1.0
+
+
+class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tuning of the estimator; one set for all airframes (losses and noises are scaled by the airframe)."""
+
+    forgetting_per_s: float = 8.0  # w_f of the sparse estimate
+    gamma: float = 20.0  # l1 weight, nats
+    gamma_onset: float = 1.0
+    decision: DecisionOptions = DecisionOptions()
+
+
+@dataclass(slots=True)
+class EstimatorState:
+    """Everything remembered between samples."""
+
+    residual: ResidualState
+    disturbance: DisturbanceState
+    information: sparse.Information
+    onset: OnsetState
+    decision: DecisionState
+    started_s: float
+    suspicious_since_s: float | None
+    effectiveness: np.ndarray
+    deviation: np.ndarray
+
+
+@dataclass(slots=True)
+class Estimate:
+    """Result of one sample. Arrays (m,) unless said otherwise."""
+
+    effectiveness: np.ndarray  # eta, 1: healthy; of declared motors what the data still say
+    deviation: np.ndarray
+    failed: np.ndarray  # bool, latched
+    residual: np.ndarray  # (n,) y minus the slow part, m/s^2 and rad/s^2
+    disturbance: np.ndarray  # (n,)
+    best: Hypothesis | None
+    events: list[Event]
+
+
+class Estimator:
+    """Constants of one airframe and sample time."""
+
+    def __init__(self, vehicle: Vehicle, dt_s: float, options: EstimatorOptions) -> None:
+        self.vehicle, self.dt_s, self.options = vehicle, dt_s, options
+        self._matrix = vehicle.acceleration_effectiveness
+        self._filter = ResidualFilter(vehicle, dt_s)
+        self._disturbance = Disturbance(vehicle)
+        self._onset = OnsetBank(vehicle.motors, dt_s, vehicle.motor.time_constant_down_s, self._filter.low_pass)
+        self._decision = Decision(vehicle.motors, options.decision)
+
+    def start(
+        self,
+        time_s: float,
+        gyro: np.ndarray,
+        specific_force: np.ndarray,
+        command: np.ndarray,
+        failed: np.ndarray | None = None,
+    ) -> EstimatorState:
+        """State at the first sample of a flight; ``failed`` (m,) bool are declarations taken over."""
+        m = self.vehicle.motors
+        decision = DecisionState.start(m)
+        if failed is not None:
+            decision.failed = failed.copy()
+        return EstimatorState(
+            residual=self._filter.start(gyro, specific_force, command),
+            disturbance=self._disturbance.start(),
+            information=sparse.Information.empty(m),
+            onset=self._onset.start(),
+            decision=decision,
+            started_s=time_s,
+            suspicious_since_s=None,
+            effectiveness=np.ones(m),
+            deviation=np.ones(m),
+        )
+
+    def step(
+        self,
+        state: EstimatorState,
+        time_s: float,
+        gyro: np.ndarray,
+        specific_force: np.ndarray,
+        command: np.ndarray,
+        dt_s: float,
+    ) -> tuple[EstimatorState, Estimate]:
+        """One sample; ``command`` (m,) thrust fractions asked of the motors. Raises SolverError."""
+        o = self.options
+        filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
+        decision = state.decision
+        nominal = filtered.weight if not decision.failed.any() else np.where(decision.failed, 0.0, filtered.weight)
+        raw = filtered.measured - self._matrix @ nominal
+        residual = raw - state.disturbance.mean
+        weight = self._disturbance.weight(state.disturbance)
+
+        regressor = self._matrix * filtered.weight
+        information = sparse.update(state.information, regressor, residual, weight, dt_s, o.forgetting_per_s)
+        weighted = weight * residual
+        onset = self._onset.push(
+            state.onset, filtered.weight, self._matrix.T @ weighted, float(residual @ weighted)
+        )
+        best = None
+        if float((residual * weighted).max()) * CORRELATION_S > _SUSPICIOUS**2:
+            gram = (self._matrix.T * weight) @ self._matrix
+            best = self._decision.best(self._onset.sums(onset, gram), decision.failed, o.gamma_onset)
+        suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
+        effectiveness, deviation = self._effectiveness(information, decision.failed)
+        decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command)
+        if any(event.declared for event in events):
+            # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
+            information, onset = sparse.Information.empty(len(command)), self._onset.start()
+        rate = self._learning_rate(time_s, state.started_s, suspicious_since)
+        disturbance = self._disturbance.step(state.disturbance, raw, dt_s, rate)
+        new = EstimatorState(
+            filtered,
+            disturbance,
+            information,
+            onset,
+            decision,
+            state.started_s,
+            suspicious_since,
+            effectiveness,
+            deviation,
+        )
+        return new, Estimate(
+            effectiveness, deviation, decision.failed, residual, disturbance.mean, best, events
+        )
+
+    def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""
+        if not failed.any():
+            return 1.0 + sparse.solve(information, self.options.gamma), sparse.deviation(information)
+        nuisance = np.flatnonzero(failed)
+        matrix, vector, energy, free = hypotheses.without_nuisance(
+            information.matrix[None], information.vector[None], np.array([information.energy]), nuisance
+        )
+        rest = sparse.Information(matrix[0], vector[0], float(energy[0]))
+        eta = 1.0 + sparse.solve(rest, self.options.gamma)
+        eta[nuisance] = np.clip(free[0], 0.0, 1.2)
+        return eta, sparse.deviation(information)
+
+    @staticmethod
+    def _learning_rate(time_s: float, started_s: float, suspicious_since_s: float | None) -> float:
+        """Speed of learning the disturbance: fast after the start, frozen while a failure is being weighed."""
+        if suspicious_since_s is not None:
+            return 0.0 if time_s - suspicious_since_s < _FREEZE_MAX_S else 0.3
+        return _LEARN_FAST_RATE if time_s - started_s < _LEARN_FAST_S else 1.0

@@ -1,0 +1,82 @@
+"""Which few motors explain the residual best: every single motor and every pair, in the box e in [-1, 0].
+
+For a set of motors the sufficient statistics S, q give the improvement of J over "no loss" in closed form, so all
+hypotheses are compared at once. Arrays carry a leading axis K of windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Best loss and improvement of each hypothesis in each window."""
+
+    loss: np.ndarray  # (K, H, s) e of each motor of the set, in [-1, 0]
+    improvement: np.ndarray  # (K, H) fall of J, in nats
+
+
+def singles(matrix: np.ndarray, vector: np.ndarray, gamma: float) -> Scores:
+    """Scores of each motor alone, from S (K, m, m) and q (K, m)."""
+    diagonal = np.einsum("kii->ki", matrix)
+    linear = vector + gamma
+    loss = np.clip(linear / (diagonal + _TINY), -1.0, 0.0)
+    improvement = linear * loss - 0.5 * diagonal * loss * loss
+    return Scores(loss[:, :, None], improvement)
+
+
+def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarray, second: np.ndarray) -> Scores:
+    """Scores of the pairs (first[h], second[h]); the box is searched exactly: interior, then its four edges."""
+    a, b = matrix[:, first, first] + _TINY, matrix[:, second, second] + _TINY
+    c = matrix[:, first, second]
+    p, q = vector[:, first] + gamma, vector[:, second] + gamma
+    determinant = a * b - c * c
+    safe = np.where(determinant > 1e-6 * a * b, determinant, np.inf)
+    inside_x, inside_y = (b * p - c * q) / safe, (a * q - c * p) / safe
+    ok = (inside_x <= 0) & (inside_x >= -1) & (inside_y <= 0) & (inside_y >= -1) & np.isfinite(safe)
+
+    def value(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return p * x + q * y - 0.5 * (a * x * x + 2 * c * x * y + b * y * y)
+
+    best_x, best_y = np.where(ok, inside_x, 0.0), np.where(ok, inside_y, 0.0)
+    best = np.where(ok, value(best_x, best_y), -np.inf)
+    for edge in (-1.0, 0.0):
+        for x, y in (
+            (np.full_like(p, edge), np.clip((q - c * edge) / b, -1.0, 0.0)),
+            (np.clip((p - c * edge) / a, -1.0, 0.0), np.full_like(q, edge)),
+        ):
+            here = value(x, y)
+            better = here > best
+            best = np.where(better, here, best)
+            best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
+    return Scores(np.stack([best_x, best_y], axis=2), best)
+
+
+def without_nuisance(
+    matrix: np.ndarray, vector: np.ndarray, energy: np.ndarray, nuisance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """S, q, energy after the columns ``nuisance`` (indices) are fitted freely, and their coefficients (K, |nuisance|).
+
+    The Schur complement: motors already declared may still push (spinning down) or work again; neither may be
+    blamed on the others.
+    """
+    if len(nuisance) == 0:
+        return matrix, vector, energy, np.zeros((len(vector), 0))
+    block = matrix[:, nuisance[:, None], nuisance]
+    ridge = 1e-6 * np.einsum("kii->k", matrix)[:, None, None] + _TINY
+    inverse = np.linalg.inv(block + ridge * np.eye(len(nuisance)))
+    cross = matrix[:, :, nuisance]
+    gain = cross @ inverse
+    part = vector[:, nuisance]
+    coefficients = np.einsum("kij,kj->ki", inverse, part)
+    reduced = matrix - gain @ cross.transpose(0, 2, 1)
+    remaining = vector - np.einsum("kij,kj->ki", gain, part)
+    reduced[:, nuisance, :] = 0.0
+    reduced[:, :, nuisance] = 0.0
+    remaining[:, nuisance] = 0.0
+    return reduced, remaining, energy - np.einsum("ki,ki->k", part, coefficients), coefficients

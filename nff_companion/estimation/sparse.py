@@ -1,0 +1,86 @@
+"""Sparse effectiveness, discrete law (23) as a box quadratic program, and shaping (24).
+
+    J = sum_k exp(-w_f (t - t_k)) dt |y_k - B0 diag(w_k) e|^2_W / 2 + gamma |e|_1,   e = eta - 1 in [-1, 0]
+
+Since e <= 0, |e|_1 = -sum e is linear:  min 1/2 e'S e - (q + gamma 1)'e  in the box; gamma as in (8).
+S and q are kept by recursion; dt keeps gamma independent of the rate. Exact active-set solver (daqp).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from nff_companion.errors import SolverError
+
+_TINY = 1e-9
+
+
+@dataclass(slots=True)
+class Information:
+    """S (m, m), q (m,) and the weighted energy of y, all with forgetting."""
+
+    matrix: np.ndarray
+    vector: np.ndarray
+    energy: float
+
+    @staticmethod
+    def empty(motors: int) -> Information:
+        """Nothing known."""
+        return Information(np.zeros((motors, motors)), np.zeros(motors), 0.0)
+
+
+def update(
+    information: Information,
+    regressor: np.ndarray,
+    residual: np.ndarray,
+    weight: np.ndarray,
+    dt_s: float,
+    forgetting_per_s: float,
+) -> Information:
+    """One sample: ``regressor`` B0 diag(w) (n, m), ``residual`` y (n,), ``weight`` diagonal of W (n,)."""
+    keep = float(np.exp(-forgetting_per_s * dt_s))
+    weighted = regressor.T * weight
+    return Information(
+        keep * information.matrix + dt_s * (weighted @ regressor),
+        keep * information.vector + dt_s * (weighted @ residual),
+        keep * information.energy + dt_s * float(residual @ (weight * residual)),
+    )
+
+
+def solve(information: Information, gamma: float, lower: np.ndarray | None = None) -> np.ndarray:
+    """e (m,) minimising the program above. ``lower`` (m,) replaces -1. Raises SolverError.
+
+    A motor without information (never driven) is left at 0: the l1 term alone decides it.
+    """
+    linear = information.vector + gamma
+    count = len(linear)
+    free = np.diagonal(information.matrix) > _TINY
+    e = np.zeros(count)
+    if not free.any():
+        return e
+    hessian = information.matrix[np.ix_(free, free)]
+    # S has rank n at constant u: a proximal term far below the data makes the program strictly convex.
+    hessian = hessian + np.eye(len(hessian)) * (1e-6 * float(np.trace(hessian)) + _TINY)
+    low = np.full(len(hessian), -1.0) if lower is None else lower[free]
+    high = np.zeros(len(hessian))
+    part, _, flag, _ = daqp.solve(hessian, -linear[free], np.zeros((0, len(hessian))), high, low)
+    if flag != 1 or not np.isfinite(part).all():
+        raise SolverError(f"sparse step: daqp ended with flag {flag}; the last estimate stays")
+    e[free] = np.clip(part, low, high)
+    return e
+
+
+def deviation(information: Information, prior: float = 1.0) -> np.ndarray:
+    """Standard deviation (m,) of e under a prior of standard deviation ``prior`` on each motor."""
+    count = len(information.vector)
+    covariance = np.linalg.inv(information.matrix + np.eye(count) / prior**2)
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+
+
+def shape(effectiveness: np.ndarray, full_at: float, none_below: float) -> np.ndarray:
+    """Shaping (24): 1 from ``full_at`` (zeta), 0 below ``none_below`` (xi), linear between."""
+    scaled = np.clip((effectiveness - none_below) / (full_at - none_below), 0.0, 1.0)
+    return np.where(effectiveness < none_below, 0.0, scaled)

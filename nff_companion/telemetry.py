@@ -1,0 +1,30 @@
+"""One telemetry sample, as the pipeline takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(slots=True)
+class Sample:
+    """One complete sample. FRD body, NED world, SI units; time in s of the autopilot's clock.
+
+    ``output`` (m,): motor outputs 0..1 as the autopilot drives them (NaN: unknown). ``position_m``, ``velocity_m_s``
+    and the targets are None where the autopilot does not send them. ``thrust`` is given instead of ``output`` by
+    logs that hold thrusts: fractions of full thrust.
+    """
+
+    time_s: float
+    gyro_rad_s: np.ndarray  # (3,)
+    specific_force_m_s2: np.ndarray  # (3,)
+    output: np.ndarray  # (m,)
+    armed: bool
+    quaternion: np.ndarray | None = None  # (4,) w x y z, body to NED
+    position_m: np.ndarray | None = None  # (3,)
+    velocity_m_s: np.ndarray | None = None  # (3,)
+    target_position_m: np.ndarray | None = None  # (3,)
+    target_yaw_rad: float | None = None
+    landed: bool | None = None  # by the autopilot's word; None: it does not say
+    thrust: np.ndarray | None = None  # (m,)
