@@ -1,0 +1,1 @@
+"""The companion's own control law, for the override mode. Pure."""

@@ -1,0 +1,63 @@
+"""Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import Vehicle
+
+
+class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Thresholds. Thrust shares are of the hover thrust by the airframe's mass."""
+
+    height_m: float = 0.7  # above where it was armed
+    thrust_share: float = 0.7
+    sure_after_s: float = 0.5  # with height and thrust
+    assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
+    ended_share: float = 0.3
+    ended_after_s: float = 0.5
+
+
+class FlightPhase:
+    """Small state machine over samples."""
+
+    def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions) -> None:
+        self._options, self._hover = options, vehicle.hover
+        self._flying = False
+        self._ground_m: float | None = None
+        self._pushing_since_s: float | None = None
+        self._idle_since_s: float | None = None
+        self.disarmed_after_flight = False
+        self._flew = False
+
+    def step(self, sample: Sample, thrust: np.ndarray) -> bool:
+        """True while flying; ``thrust`` (m,) fractions commanded."""
+        o, time_s = self._options, sample.time_s
+        share = float(thrust.mean()) / self._hover
+        height = None if sample.position_m is None else -float(sample.position_m[2])
+        self.disarmed_after_flight = False
+        if not sample.armed:
+            self.disarmed_after_flight = self._flew
+            self._flying = self._flew = False
+            self._ground_m = height
+            self._pushing_since_s = None
+            return False
+        if share < o.thrust_share:
+            self._pushing_since_s = None
+        elif self._pushing_since_s is None or time_s < self._pushing_since_s:
+            self._pushing_since_s = time_s
+        if share > o.ended_share:
+            self._idle_since_s = None
+        elif self._idle_since_s is None or time_s < self._idle_since_s:
+            self._idle_since_s = time_s
+        if self._flying:
+            idle = self._idle_since_s is not None and time_s - self._idle_since_s >= o.ended_after_s
+            self._flying = not idle
+        elif self._pushing_since_s is not None:
+            pushing = time_s - self._pushing_since_s
+            high = height is not None and self._ground_m is not None and height - self._ground_m > o.height_m
+            self._flying = pushing >= (o.sure_after_s if high else o.assumed_after_s)
+        self._flew = self._flew or self._flying
+        return self._flying

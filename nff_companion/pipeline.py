@@ -1,0 +1,298 @@
+"""One step of the companion: telemetry sample in; estimate, allocation and outputs out.
+
+Knows no socket and no clock: time is the autopilot's, in the samples. The same code runs in flight, on logs and in
+virtual time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import msgspec
+import numpy as np
+
+from nff_companion.allocation import allocator
+from nff_companion.allocation.plan import Plan, Refusal, make_plan
+from nff_companion.control.law import ControlLaw, Reference, State, saturate
+from nff_companion.errors import SolverError
+from nff_companion.estimation import sparse
+from nff_companion.estimation.decision import Event
+from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState
+from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import Vehicle
+
+
+class Mode(IntEnum):
+    """What the companion may do."""
+
+    OBSERVE = 0
+    ALLOCATE = 1
+    OVERRIDE = 2
+
+
+class PipelineOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tuning of one pipeline."""
+
+    mode: Mode = Mode.ALLOCATE
+    allocation: str = "trim"
+    estimator: EstimatorOptions = EstimatorOptions()
+    flight_phase: FlightPhaseOptions = FlightPhaseOptions()
+    shape_full_at: float = 0.75  # zeta of (24)
+    shape_none_below: float = 0.30  # xi
+    degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
+    resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
+    resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
+    gap_max_s: float = 0.1  # without a sample: the estimate starts anew
+    recover_s: float = 0.3  # of good samples, to act again
+
+
+@dataclass(slots=True)
+class Output:
+    """Result of one step. ``matrix`` is what should be in force: None, the autopilot's own."""
+
+    time_s: float
+    mode: Mode
+    reason: str
+    flying: bool
+    failed: np.ndarray  # (m,) bool
+    effectiveness: np.ndarray  # (m,)
+    deviation: np.ndarray  # (m,)
+    degraded: np.ndarray  # (m,) bool: allocated around, not declared
+    events: list[Event]
+    plan: Plan | None
+    override: np.ndarray | None  # (m,) motor outputs 0..1
+    estimate: Estimate | None
+    unallocated: np.ndarray  # (n,)
+    rejected: int  # matrices that failed the check so far
+    bad_samples: int
+
+
+class Pipeline:
+    """Holds the state of one vehicle's companion; ``step`` never raises on bad input."""
+
+    def __init__(self, vehicle: Vehicle, rate_hz: float, options: PipelineOptions) -> None:
+        self.vehicle, self.options = vehicle, options
+        self.dt_s = 1.0 / rate_hz
+        self.mode = options.mode
+        self.estimator = Estimator(vehicle, self.dt_s, options.estimator)
+        self._phase = FlightPhase(vehicle, options.flight_phase)
+        self._allocate = allocator(options.allocation)
+        self._law = ControlLaw(vehicle)
+        m, n = vehicle.motors, vehicle.axes
+        self._state: EstimatorState | None = None
+        self._failed = np.zeros(m, bool)
+        self._last_s: float | None = None
+        self._good_since_s: float | None = None
+        self._trouble = "waiting for telemetry"
+        self._plan: Plan | None = None
+        self._planned_for = np.ones(m)
+        self._planned_s = -np.inf
+        self._low_since_s = np.full(m, np.nan)
+        self._refusal = ""
+        self._hold: Reference | None = None
+        self._integral = np.zeros(3)
+        self._healthy = make_plan(self._allocate, vehicle.effectiveness, np.ones(m), vehicle.hover)
+        self._none = np.zeros(n)
+        self.bad_samples = 0
+        self.rejected = 0
+
+    # -- operator -----------------------------------------------------------------------------------------------
+
+    def set_mode(self, mode: Mode) -> None:
+        """The operator's wish; what is in effect also depends on the telemetry."""
+        self.mode = mode
+        self._hold = None
+
+    def adopt(self, failed: np.ndarray) -> None:
+        """Take over declarations (m,) bool that the autopilot already holds (after a restart)."""
+        self._failed = self._failed | failed
+        if self._state is not None:
+            self._state.decision.failed = self._state.decision.failed | failed
+
+    def lift(self, motor: int) -> None:
+        """The operator declares ``motor`` (from 1) healthy."""
+        self._failed[motor - 1] = False
+        if self._state is not None:
+            self._state.decision.failed = self._failed.copy()
+
+    # -- samples ------------------------------------------------------------------------------------------------
+
+    def _refuse(self, sample: Sample) -> str | None:
+        """Why the sample cannot be used; None when it can."""
+        command = sample.thrust if sample.thrust is not None else sample.output
+        if command.shape != (self.vehicle.motors,):
+            return f"telemetry has {command.size} motor outputs, the airframe {self.vehicle.motors}: check the airframe"
+        if not np.isfinite(command).all():
+            return "motor outputs missing in telemetry"
+        if not (np.isfinite(sample.gyro_rad_s).all() and np.isfinite(sample.specific_force_m_s2).all()):
+            return "gyro or accelerometer not finite"
+        if not np.isfinite(sample.time_s):
+            return "time of the sample not finite"
+        return None
+
+    def _bad(self, time_s: float, reason: str) -> Output:
+        self.bad_samples += 1
+        self._good_since_s = None
+        self._trouble = reason
+        return self._output(time_s, None, [], None)
+
+    def step(self, sample: Sample) -> Output:
+        """One sample."""
+        reason = self._refuse(sample)
+        if reason is not None:
+            return self._bad(self._last_s or 0.0, reason)
+        time_s = sample.time_s
+        gap = None if self._last_s is None else time_s - self._last_s
+        self._last_s = time_s
+        if gap is not None and not 0.0 < gap <= self.options.gap_max_s:
+            self._restart()
+            return self._bad(time_s, f"time jumped by {gap:+.3f} s")
+        if self._good_since_s is None:
+            self._good_since_s = time_s
+        command = sample.thrust if sample.thrust is not None else self.vehicle.thrust_fraction(sample.output)
+        flying = self._phase.step(sample, command)
+        if not flying or gap is None:
+            self._state = None
+            if self._phase.disarmed_after_flight:
+                self._forget()
+            self._trouble = "not flying" if not flying else "starting"
+            return self._output(time_s, None, [], None)
+        if self._state is None:
+            self._state = self.estimator.start(
+                time_s, sample.gyro_rad_s, sample.specific_force_m_s2, command, self._failed
+            )
+        try:
+            self._state, estimate = self.estimator.step(
+                self._state, time_s, sample.gyro_rad_s, sample.specific_force_m_s2, command, gap
+            )
+        except (SolverError, np.linalg.LinAlgError) as error:
+            self._restart()
+            return self._bad(time_s, f"estimator: {error}")
+        self._failed = estimate.failed
+        self._trouble = "" if time_s - self._good_since_s >= self.options.recover_s else "recovering"
+        self._replan(time_s, estimate)
+        override = self._close_loop(sample, estimate, gap) if self._acting() == Mode.OVERRIDE else None
+        return self._output(time_s, estimate, estimate.events, override)
+
+    def stream_lost(self, reason: str) -> Output:
+        """To be called when telemetry stops: the state is dropped, the mode falls to observe."""
+        self._restart()
+        return self._bad(self._last_s or 0.0, reason)
+
+    def _restart(self) -> None:
+        self._state = None
+        self._hold = None
+        self._last_s = None
+
+    def _forget(self) -> None:
+        """After landing and disarming the next flight starts without declarations."""
+        self._failed = np.zeros_like(self._failed)
+        self._plan, self._planned_for, self._hold = None, np.ones_like(self._planned_for), None
+        self._refusal = ""
+
+    # -- allocation ---------------------------------------------------------------------------------------------
+
+    def _replan(self, time_s: float, estimate: Estimate) -> None:
+        """Solve the allocation again when what is believed of the motors has moved."""
+        o = self.options
+        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
+        if low.any():
+            self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
+            degraded = low & (time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s)
+        else:
+            self._low_since_s[:] = np.nan
+            degraded = low
+        target = np.ones_like(self._planned_for)
+        if degraded.any():
+            shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
+            target = np.where(degraded, np.maximum(shaped, 0.1), 1.0)
+        target[estimate.failed] = 0.0
+        change = float(np.abs(target - self._planned_for).max())
+        declared = bool(estimate.events)
+        if not declared and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
+            return
+        self._planned_s, self._planned_for = time_s, target
+        if (target == 1.0).all():
+            self._plan, self._refusal = None, ""
+            return
+        plan = make_plan(self._allocate, self.vehicle.effectiveness, target, self.vehicle.hover)
+        if isinstance(plan, Refusal):
+            self.rejected += 1
+            self._refusal = f"no new matrix: {plan.reason}"
+        else:
+            self._plan, self._refusal = plan, ""
+
+    # -- override -----------------------------------------------------------------------------------------------
+
+    def _close_loop(self, sample: Sample, estimate: Estimate, dt_s: float) -> np.ndarray | None:
+        """Motor outputs (m,) by (6.18), None when the state is not known."""
+        plan = self._plan or (self._healthy if isinstance(self._healthy, Plan) else None)
+        if plan is None or sample.quaternion is None or sample.position_m is None or sample.velocity_m_s is None:
+            self._trouble = "override needs attitude, position and velocity: not in telemetry"
+            return None
+        known = np.concatenate([sample.quaternion, sample.position_m, sample.velocity_m_s])
+        if not np.isfinite(known).all():
+            self._trouble = "override: attitude or position not finite"
+            return None
+        if self._hold is None:
+            q = sample.quaternion
+            yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
+            self._hold = Reference(sample.position_m.copy(), np.zeros(3), yaw)
+            self._integral = np.zeros(3)
+        reference = self._hold
+        if sample.target_position_m is not None and np.isfinite(sample.target_position_m).all():
+            yaw = reference.yaw_rad if sample.target_yaw_rad is None else sample.target_yaw_rad
+            reference = Reference(sample.target_position_m, np.zeros(3), yaw)
+        state = State(sample.position_m, sample.velocity_m_s, sample.quaternion, sample.gyro_rad_s)
+        demand, self._integral = self._law.demand(state, reference, self._integral, estimate.disturbance, dt_s)
+        thrust, _ = saturate(plan.matrix, demand)
+        output = self.vehicle.output_for(thrust)
+        output[estimate.failed] = 0.0
+        if not np.isfinite(output).all():
+            self._trouble = "override: outputs not finite"
+            return None
+        return output
+
+    # -- result -------------------------------------------------------------------------------------------------
+
+    def _acting(self) -> Mode:
+        return Mode.OBSERVE if self._trouble else self.mode
+
+    def _output(
+        self, time_s: float, estimate: Estimate | None, events: list[Event], override: np.ndarray | None
+    ) -> Output:
+        mode = self._acting()
+        m = self.vehicle.motors
+        if mode == Mode.OVERRIDE and override is None:
+            mode = Mode.OBSERVE
+        plan = self._plan if mode != Mode.OBSERVE else None
+        shown = np.ones(m) if estimate is None else estimate.effectiveness
+        degraded = (self._planned_for < 1.0) & ~self._failed
+        return Output(
+            time_s=time_s,
+            mode=mode,
+            reason=self._trouble or self._refusal or self._doing(),
+            flying=estimate is not None,
+            failed=self._failed,
+            effectiveness=np.where(self._failed & (shown > 0.99), 0.0, shown) if estimate is None else shown,
+            deviation=np.ones(m) if estimate is None else estimate.deviation,
+            degraded=degraded,
+            events=events,
+            plan=plan,
+            override=override if mode == Mode.OVERRIDE else None,
+            estimate=estimate,
+            unallocated=self._plan.unallocated if self._plan is not None else self._none,
+            rejected=self.rejected,
+            bad_samples=self.bad_samples,
+        )
+
+    def _doing(self) -> str:
+        if self.mode == Mode.OBSERVE:
+            return "observing"
+        if self._plan is None:
+            return "all motors healthy"
+        failed = [int(i) + 1 for i in np.flatnonzero(self._failed)]
+        given_up = ", yaw given up" if self._plan.released else ""
+        return f"reallocated without motors {failed}{given_up}" if failed else f"reallocated a partial loss{given_up}"

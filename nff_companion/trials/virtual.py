@@ -1,0 +1,146 @@
+"""Fleet and companions in virtual time: many vehicles stepped together, each with its own pipeline.
+
+The link between them delays; it does not encode (the wire has its own tests and the demo).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nff_companion import vehicle as vehicle_model
+from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
+from nff_companion.telemetry import Sample
+from sitl import rotation
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
+
+MATRIX_TIMEOUT_S = 0.5
+OVERRIDE_TIMEOUT_S = 0.1
+MATRIX_INTERVAL_S = 0.05
+
+
+@dataclass(slots=True)
+class Channel:
+    """Messages under way, oldest first."""
+
+    delay_s: float
+    queue: deque[tuple[float, object]] = field(default_factory=deque)
+
+    def send(self, now_s: float, message: object) -> None:
+        """Put a message on the way."""
+        self.queue.append((now_s + self.delay_s, message))
+
+    def receive(self, now_s: float) -> list[object]:
+        """Messages that have arrived."""
+        out = []
+        while self.queue and self.queue[0][0] <= now_s + 1e-9:
+            out.append(self.queue.popleft()[1])
+        return out
+
+
+class Companion:
+    """One vehicle's pipeline with its two channels, and what it did."""
+
+    def __init__(self, index: int, pipeline: Pipeline, link_delay_s: float) -> None:
+        self.index, self.pipeline = index, pipeline
+        # The delay is for one direction each way, as a serial link has it.
+        self.down, self.up = Channel(link_delay_s), Channel(link_delay_s)
+        self.outputs: Output | None = None
+        self.events: list[tuple[float, object]] = []
+        self._sequence = 0
+        self._matrix_sent_s = -np.inf
+        self._declared = np.zeros(pipeline.vehicle.motors, bool)
+
+    def think(self, now_s: float) -> None:
+        """Process the samples that have arrived and send what follows from them."""
+        for message in self.down.receive(now_s):
+            output = self.pipeline.step(message)  # type: ignore[arg-type]
+            self.outputs = output
+            self.events += [(now_s, event) for event in output.events]
+            if output.mode == Mode.OBSERVE:
+                continue
+            self._sequence += 1
+            changed = bool((output.failed != self._declared).any())
+            if changed:
+                self._declared = output.failed.copy()
+                self.up.send(now_s, ("declaration", self._sequence, output.time_s, output.failed.copy()))
+            if output.plan is not None and (changed or now_s - self._matrix_sent_s >= MATRIX_INTERVAL_S):
+                self._matrix_sent_s = now_s
+                self.up.send(now_s, ("matrix", self._sequence, output.time_s, output.plan.matrix))
+            if output.override is not None:
+                self.up.send(now_s, ("override", self._sequence, output.time_s, output.override))
+
+
+class VirtualFlight:
+    """A fleet, some of whose vehicles have a companion."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        companions: dict[int, PipelineOptions],
+        *,
+        airframe: str,
+        thrust_to_weight: float | None,
+        rate_hz: float,
+        link_delay_s: float,
+        make_pipeline: Callable[[vehicle_model.Vehicle, float, PipelineOptions], Pipeline] = Pipeline,
+    ) -> None:
+        self.fleet = fleet
+        self._every = max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
+        model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
+        rate = AUTOPILOT_RATE_HZ / self._every
+        self.companions = [
+            Companion(index, make_pipeline(model, rate, options), link_delay_s)
+            for index, options in companions.items()
+        ]
+
+    def _sample(self, index: int) -> Sample:
+        fleet = self.fleet
+        measured, autopilot = fleet.sensors.measured, fleet.autopilot
+        return Sample(
+            time_s=fleet.time_s,
+            gyro_rad_s=measured.gyro_rad_s[index],
+            specific_force_m_s2=measured.specific_force_m_s2[index],
+            output=autopilot.output[index],
+            armed=bool(autopilot.armed[index]),
+            quaternion=measured.quaternion[index],
+            position_m=measured.position_m[index],
+            velocity_m_s=measured.velocity_m_s[index],
+            target_position_m=autopilot.position.path[index].copy(),
+            target_yaw_rad=float(rotation.yaw_of(autopilot.attitude.target[index])),
+        )
+
+    def step(self) -> None:
+        """One autopilot cycle of the fleet, and what the companions do in it."""
+        fleet = self.fleet
+        now = fleet.time_s
+        for companion in self.companions:
+            index = companion.index
+            if fleet.state.crashed[index]:
+                continue
+            for message in companion.up.receive(now):
+                self._deliver(index, message, now)
+        fleet.step()
+        if fleet.cycle % self._every == 0:
+            now = fleet.time_s
+            for companion in self.companions:
+                if not fleet.state.crashed[companion.index]:
+                    companion.down.send(now, self._sample(companion.index))
+        for companion in self.companions:
+            companion.think(fleet.time_s)
+
+    def _deliver(self, index: int, message: object, now_s: float) -> None:
+        kind, sequence, sample_s, value = message  # type: ignore[misc]
+        autopilot = self.fleet.autopilot
+        port = autopilot.ports[index]
+        common = {"sequence": sequence, "sample_s": sample_s, "now_s": now_s}
+        if kind == "declaration":
+            port.receive_declaration(value, **common)
+        elif kind == "matrix":
+            port.receive_matrix(value, timeout_s=MATRIX_TIMEOUT_S, **common)
+        else:
+            port.receive_override(value, timeout_s=OVERRIDE_TIMEOUT_S, armed=bool(autopilot.armed[index]), **common)
+        autopilot.port_changed()
