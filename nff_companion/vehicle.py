@@ -19,6 +19,7 @@ from nff_companion.errors import ConfigError
 
 GRAVITY_M_S2 = 9.80665
 AXES = ("thrust", "roll", "pitch", "yaw")
+THRUST, ROLL, PITCH, YAW = range(4)
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]

@@ -91,15 +91,19 @@ class Plant:
         thrust = state.thrust_n + p.rotor_drag_n_s_per_m * speed * axial
 
         drag = -0.5 * AIR_DENSITY_KG_M3 * p.drag_area_m2 * np.abs(air) * air
-        rotor_drag = -p.rotor_drag_n_s_per_m * speed.sum(axis=1)[:, None] * air[:, :2]
+        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * p.position_m[:, 1]
+        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * p.position_m[:, 0]
+        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
+        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
         force = drag.copy()
-        force[:, :2] += rotor_drag
+        force[:, 0] += push_x.sum(axis=1)
+        force[:, 1] += push_y.sum(axis=1)
         force[:, 2] -= thrust.sum(axis=1)
 
         torque = np.empty_like(state.rate_rad_s)
         torque[:, :2] = thrust @ self._arm
         reaction = p.torque_per_thrust_m[:, None] * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
-        torque[:, 2] = reaction @ p.spin
+        torque[:, 2] = reaction @ p.spin + push_y @ p.position_m[:, 0] - push_x @ p.position_m[:, 1]
         torque += np.cross(p.pressure_centre_m, drag)
         # Rotors turn against their reaction torque: spin +1 spins about -z.
         spin_momentum = -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)

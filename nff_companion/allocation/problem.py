@@ -13,7 +13,6 @@ import numpy as np
 from nff_companion.errors import AllocationInfeasible
 
 REMOVED_BELOW = 0.1  # effectiveness at which a motor's column is removed instead of scaled (gains would explode)
-THRUST, ROLL, PITCH, YAW = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, kw_only=True)

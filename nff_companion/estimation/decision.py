@@ -21,10 +21,8 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """Thresholds of the decision. Improvements in nats of the weighted residual."""
 
     improvement_min: float = 18.0  # over "no failure": mean time between false alarms grows as its exponential
-    margin_share: float = 0.12  # of the improvement, over the next hypothesis
-    margin_min: float = 4.0
-    pair_share: float = 0.10  # of the improvement that only a second motor brings, to need a second motor
-    pair_min: float = 6.0
+    margin_min: float = 6.0  # over the next hypothesis
+    pair_min: float = 6.0  # that only a second motor brings, to need a second motor
     explained_min: float = 0.70  # share of the residual's energy that the hypothesis explains
     loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
     loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
@@ -50,9 +48,8 @@ class Hypothesis:
 
     @property
     def confidence(self) -> float:
-        """Probability against the next hypothesis, with model errors of some per cent of the improvement."""
-        odds = self.margin / (1.0 + 0.03 * max(self.improvement, 0.0))
-        return float(1.0 / (1.0 + np.exp(-min(odds, 50.0))))
+        """Probability against the next hypothesis."""
+        return float(1.0 / (1.0 + np.exp(-min(self.margin, 50.0))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +83,10 @@ class DecisionState:
 class Decision:
     """Thresholds and the hypotheses of an airframe with m motors."""
 
-    def __init__(self, motors: int, options: DecisionOptions) -> None:
+    def __init__(self, motors: int, axes: int, options: DecisionOptions) -> None:
         self.options = options
+        # With fewer motors than axes left nothing can be told apart, nor done about it.
+        self._failed_max = max(1, min(options.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
     def best(self, sums: OnsetSums, failed: np.ndarray, gamma: float) -> Hypothesis | None:
@@ -109,11 +108,13 @@ class Decision:
         two_best = two.improvement.max(axis=0)
         best = int(two_best.argmax())
         gain = two_best[best] - one_best[first]
-        if gain > max(o.pair_min, o.pair_share * two_best[best]):
+        if gain > o.pair_min:
             others = np.delete(two_best, best)
             return self._describe(tuple(pairs[best]), two, best, matrix, vector, energy, sums, others, one_best)
+        # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
+        without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = np.delete(one_best, first)
-        return self._describe((first,), one, first, matrix, vector, energy, sums, others, np.zeros(0))
+        return self._describe((first,), one, first, matrix, vector, energy, sums, others, without)
 
     @staticmethod
     def _describe(
@@ -162,7 +163,7 @@ class Decision:
             candidate = best.motors
             since = state.since_s if candidate == state.candidate else time_s
             wait = o.confirm_s if len(candidate) == 1 else o.confirm_ambiguous_s
-            if time_s - since >= wait - 1e-9 and failed.sum() + len(candidate) <= o.failed_max:
+            if time_s - since >= wait - 1e-9 and failed.sum() + len(candidate) <= self._failed_max:
                 failed = failed.copy()
                 failed[list(candidate)] = True
                 for motor, loss in zip(best.motors, best.loss, strict=True):
@@ -172,7 +173,7 @@ class Decision:
         low = (1.0 - effectiveness > o.loss_gradual) & (deviation < 0.25) & ~failed & (driven > o.lift_driven)
         gradual = np.where(low, np.where(np.isnan(state.gradual_since_s), time_s, state.gradual_since_s), np.nan)
         ready = low & (time_s - np.nan_to_num(gradual, nan=np.inf) >= o.confirm_gradual_s)
-        if ready.sum() == 1 and failed.sum() < o.failed_max:
+        if ready.sum() == 1 and failed.sum() < self._failed_max:
             motor = int(np.flatnonzero(ready)[0])
             failed = failed.copy()
             failed[motor] = True
@@ -191,7 +192,7 @@ class Decision:
         o = self.options
         return (
             best.improvement >= o.improvement_min
-            and best.margin >= max(o.margin_min, o.margin_share * best.improvement)
+            and best.margin >= o.margin_min
             and best.explained >= o.explained_min
             and max(best.loss) <= -o.loss_sudden
         )

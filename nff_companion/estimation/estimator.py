@@ -9,10 +9,16 @@ import numpy as np
 
 from nff_companion.estimation import hypotheses, sparse
 from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Event, Hypothesis
-from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, DisturbanceState
+from nff_companion.estimation.disturbance import (
+    CORRELATION_S,
+    Disturbance,
+    DisturbanceState,
+    SideDragState,
+    learn_side_drag,
+)
 from nff_companion.estimation.onset import OnsetBank, OnsetState
 from nff_companion.estimation.residual import ResidualFilter, ResidualState
-from nff_companion.vehicle import Vehicle
+from nff_companion.vehicle import GRAVITY_M_S2, YAW, Vehicle
 
 _SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypotheses are compared
 _LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
@@ -35,6 +41,7 @@ class EstimatorState:
 
     residual: ResidualState
     disturbance: DisturbanceState
+    side_drag: SideDragState
     information: sparse.Information
     onset: OnsetState
     decision: DecisionState
@@ -62,11 +69,17 @@ class Estimator:
 
     def __init__(self, vehicle: Vehicle, dt_s: float, options: EstimatorOptions) -> None:
         self.vehicle, self.dt_s, self.options = vehicle, dt_s, options
-        self._matrix = vehicle.acceleration_effectiveness
         self._filter = ResidualFilter(vehicle, dt_s)
         self._disturbance = Disturbance(vehicle)
-        self._onset = OnsetBank(vehicle.motors, dt_s, vehicle.motor.time_constant_down_s, self._filter.low_pass)
-        self._decision = Decision(vehicle.motors, options.decision)
+        self._onset = OnsetBank(
+            vehicle.axes,
+            vehicle.motors,
+            vehicle.inertia_kg_m2,
+            dt_s,
+            vehicle.motor.time_constant_down_s,
+            self._filter.low_pass,
+        )
+        self._decision = Decision(vehicle.motors, vehicle.axes, options.decision)
 
     def start(
         self,
@@ -84,6 +97,7 @@ class Estimator:
         return EstimatorState(
             residual=self._filter.start(gyro, specific_force, command),
             disturbance=self._disturbance.start(),
+            side_drag=SideDragState(),
             information=sparse.Information.empty(m),
             onset=self._onset.start(),
             decision=decision,
@@ -105,22 +119,23 @@ class Estimator:
         """One sample; ``command`` (m,) thrust fractions asked of the motors. Raises SolverError."""
         o = self.options
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
+        side_drag = self._filter.side_drag(filtered)
+        matrix = self._filter.effectiveness(side_drag, state.side_drag.share)
         decision = state.decision
         nominal = filtered.weight if not decision.failed.any() else np.where(decision.failed, 0.0, filtered.weight)
-        raw = filtered.measured - self._matrix @ nominal
+        raw = filtered.measured - matrix @ nominal
         residual = raw - state.disturbance.mean
         weight = self._disturbance.weight(state.disturbance)
 
-        regressor = self._matrix * filtered.weight
+        regressor = matrix * filtered.weight
         information = sparse.update(state.information, regressor, residual, weight, dt_s, o.forgetting_per_s)
-        weighted = weight * residual
-        onset = self._onset.push(
-            state.onset, filtered.weight, self._matrix.T @ weighted, float(residual @ weighted)
-        )
+        onset = self._onset.push(state.onset, filtered.weight, residual)
         best = None
-        if float((residual * weighted).max()) * CORRELATION_S > _SUSPICIOUS**2:
-            gram = (self._matrix.T * weight) @ self._matrix
-            best = self._decision.best(self._onset.sums(onset, gram), decision.failed, o.gamma_onset)
+        if float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2:
+            lateral = float(np.hypot(filtered.lateral[0], filtered.lateral[1]))
+            yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
+            sums = self._onset.sums(onset, matrix, self._disturbance.variance(state.disturbance), yaw_error)
+            best = self._decision.best(sums, decision.failed, o.gamma_onset)
         suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
         effectiveness, deviation = self._effectiveness(information, decision.failed)
         decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command)
@@ -129,9 +144,15 @@ class Estimator:
             information, onset = sparse.Information.empty(len(command)), self._onset.start()
         rate = self._learning_rate(time_s, state.started_s, suspicious_since)
         disturbance = self._disturbance.step(state.disturbance, raw, dt_s, rate)
+        learnt = state.side_drag
+        if rate == 1.0:
+            learnt = learn_side_drag(
+                learnt, float(side_drag @ nominal), float(residual[YAW]), float(disturbance.variance[YAW]), dt_s
+            )
         new = EstimatorState(
             filtered,
             disturbance,
+            learnt,
             information,
             onset,
             decision,

@@ -12,11 +12,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nff_companion.estimation.disturbance import CORRELATION_S
 from nff_companion.estimation.filters import LowPass, loss_response
 from nff_companion.estimation.residual import SMOOTHING_S
+from nff_companion.vehicle import PITCH, ROLL, YAW
 
 # Ages of the onsets compared, in s.
 _AGES_S = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.16, 0.2)
+
+
+# Errors of the model grow with the residual itself (inertia, arm, thrust): this share of it, on each axis, is not
+# evidence. It keeps a large torque from drowning what the other axes say.
+MODEL_ERROR_SHARE = 0.12
+YAW_ERROR_SHARE = 0.02  # yaw torque as a share of roll and pitch torque, besides the side drag
+# Windows for a loss that is older than the memory: it has been there in full all along.
+_STANDING_S = (0.1, 0.2)
 
 
 @dataclass(slots=True)
@@ -24,8 +34,8 @@ class OnsetState:
     """The last samples, newest last."""
 
     outer: np.ndarray  # (L, m * m) w w'
-    projected: np.ndarray  # (L, m) w * B0' W y
-    energy: np.ndarray  # (L,) y' W y
+    product: np.ndarray  # (L, n * m) y w'
+    squared: np.ndarray  # (L, n) y^2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,44 +49,69 @@ class OnsetSums:
 
 
 class OnsetBank:
-    """Constants for one airframe and sample time."""
+    """Constants for one airframe (n axes, m motors) and sample time."""
 
-    def __init__(self, motors: int, dt_s: float, lag_down_s: float, low_pass: LowPass | None) -> None:
+    def __init__(
+        self,
+        axes: int,
+        motors: int,
+        inertia_kg_m2: np.ndarray,
+        dt_s: float,
+        lag_down_s: float,
+        low_pass: LowPass | None,
+    ) -> None:
         counts = sorted({max(round(age / dt_s), 2) for age in _AGES_S})
-        self.length, self._motors, self._dt = counts[-1], motors, dt_s
+        self._axes, self._motors = axes, motors
+        self.length, self._dt = counts[-1], dt_s
+        standing = [max(round(age / dt_s), 2) for age in _STANDING_S]
         response = loss_response(dt_s, self.length, lag_down_s, low_pass, SMOOTHING_S)
-        self._response = np.zeros((len(counts), self.length))
-        self._inside = np.zeros((len(counts), self.length))
+        rows = len(counts) + len(standing)
+        self._response = np.zeros((rows, self.length))
+        self._inside = np.zeros((rows, self.length))
         for row, count in enumerate(counts):
             self._response[row, self.length - count :] = response[:count]
             self._inside[row, self.length - count :] = 1.0
+        for row, count in enumerate(standing, start=len(counts)):
+            self._response[row, self.length - count :] = 1.0
+            self._inside[row, self.length - count :] = 1.0
         self._squared = self._response**2
-        self.age_s = np.array(counts) * dt_s
+        self._counts = np.array(counts + standing)
+        self.age_s = self._counts * dt_s
+        self._error = MODEL_ERROR_SHARE**2 * np.eye(self._axes)
+        self._yaw_share = (inertia_kg_m2[:2] / inertia_kg_m2[2]) ** 2
 
     def start(self) -> OnsetState:
         """Empty history."""
-        length, m = self.length, self._motors
-        return OnsetState(np.zeros((length, m * m)), np.zeros((length, m)), np.zeros(length))
+        length, n, m = self.length, self._axes, self._motors
+        return OnsetState(np.zeros((length, m * m)), np.zeros((length, n * m)), np.zeros((length, n)))
 
-    def push(
-        self, state: OnsetState, regressor_weight: np.ndarray, projected: np.ndarray, energy: float
-    ) -> OnsetState:
-        """Append one sample: w (m,), B0' W y (m,), y' W y. The state's arrays are moved in place."""
-        state.outer[:-1] = state.outer[1:]
-        state.projected[:-1] = state.projected[1:]
-        state.energy[:-1] = state.energy[1:]
-        np.multiply(regressor_weight[:, None], regressor_weight, out=state.outer[-1].reshape(self._motors, -1))
-        np.multiply(regressor_weight, projected, out=state.projected[-1])
-        state.energy[-1] = energy
+    def push(self, state: OnsetState, weight: np.ndarray, residual: np.ndarray) -> OnsetState:
+        """Append one sample: w (m,) and y (n,). The state's arrays are moved in place."""
+        for history in (state.outer, state.product, state.squared):
+            history[:-1] = history[1:]
+        np.multiply(weight[:, None], weight, out=state.outer[-1].reshape(self._motors, -1))
+        np.multiply(residual[:, None], weight, out=state.product[-1].reshape(self._axes, -1))
+        np.multiply(residual, residual, out=state.squared[-1])
         return state
 
-    def sums(self, state: OnsetState, gram: np.ndarray) -> OnsetSums:
-        """Statistics of all windows; ``gram`` = B0' W B0 (m, m)."""
-        m = self._motors
+    def sums(
+        self, state: OnsetState, effectiveness: np.ndarray, variance: np.ndarray, yaw_error: float
+    ) -> OnsetSums:
+        """Statistics of all windows; ``effectiveness`` (n, m) in accelerations, ``variance`` (n,) of y in steady
+        flight; ``yaw_error``: yaw torque not modelled, as a share of roll and pitch torque."""
+        error = self._error.copy()
+        error[YAW, ROLL : PITCH + 1] = self._yaw_share * (YAW_ERROR_SHARE**2 + yaw_error**2)
+        n, m, b = self._axes, self._motors, effectiveness
+        energy = self._inside @ state.squared  # (K, n)
+        # One weight for all windows: their improvements are then likelihoods of the same data.
+        total = variance + error @ (energy / self._counts[:, None]).max(axis=0)
+        weight = self._dt / (CORRELATION_S * total)  # (n,)
+        gram = (b.T * weight) @ b
         outer = (self._squared @ state.outer).reshape(-1, m, m)
+        product = (self._response @ state.product).reshape(-1, n, m)
         return OnsetSums(
-            self._dt * gram * outer,
-            self._dt * (self._response @ state.projected),
-            self._dt * (self._inside @ state.energy),
+            gram * outer,
+            np.einsum("ai,kai->ki", weight[:, None] * b, product),
+            energy @ weight,
             self.age_s,
         )

@@ -8,6 +8,10 @@ measurement pass the *same* chain: the modelled thrust goes through the motor's 
 the mean over the sample interval and the same smoothing. So the chain costs delay (about 8 ms for the smoothing and
 11 ms for a 20 Hz gyro filter) but leaves no mismatch in transients, and y stays linear in the effectiveness:
 y = B0 diag(w) (eta - 1) with w the thrust fractions after the chain.
+
+Rotors in wind drag sideways. The accelerometer measures the sum of it; each rotor's share acts at its hub, so a
+rotor that is lost, or pushes more than the others, turns the vehicle about its yaw axis. In 4 m/s that is more than
+its own drag torque: the yaw row of B0 follows the measured lateral specific force; which share of it acts at the rotors is learnt.
 """
 
 from __future__ import annotations
@@ -17,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nff_companion.estimation.filters import LowPass, lag_share
-from nff_companion.vehicle import Vehicle
+from nff_companion.vehicle import GRAVITY_M_S2, YAW, Vehicle
 
 SMOOTHING_S = 0.008
+_LATERAL_S = 0.15  # smoothing of the lateral specific force
 
 
 @dataclass(slots=True)
@@ -35,6 +40,7 @@ class ResidualState:
     shown: np.ndarray  # thrust fraction after the gyro filter
     weight: np.ndarray  # w, after the whole chain
     measured: np.ndarray  # (n,) accelerations after the smoothing
+    lateral: np.ndarray  # (2,) specific force along x and y, m/s^2, smoothed
     dt_s: float
 
 
@@ -51,6 +57,11 @@ class ResidualFilter:
         # Where one sensor alone is filtered, the other is given the same filter here.
         self._accelerometer_low_pass = LowPass.design(gyro, dt_s) if gyro and not accelerometer else None
         self._smooth = lag_share(dt_s, SMOOTHING_S)
+        self._lateral = lag_share(dt_s, _LATERAL_S)
+        self._nominal = vehicle.acceleration_effectiveness
+        x, y = vehicle.position_m.T
+        share = motor.max_thrust_n / (GRAVITY_M_S2 * vehicle.inertia_kg_m2[2])
+        self._side_drag = share * np.stack([-y, x])  # (2, m) yaw acceleration per lateral specific force
 
     def start(self, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray) -> ResidualState:
         """State as if the vehicle had flown like this for ever."""
@@ -61,8 +72,18 @@ class ResidualFilter:
             sensor[:, :1] = self._accelerometer_low_pass.settled(np.array([up]))
         measured = np.array([up, 0.0, 0.0, 0.0])
         return ResidualState(
-            gyro, up, command, command, low_pass, sensor, command, command.copy(), measured, self.dt_s
+            gyro, up, command, command, low_pass, sensor, command, command.copy(), measured, specific_force[:2], self.dt_s
         )
+
+    def side_drag(self, state: ResidualState) -> np.ndarray:
+        """Yaw acceleration (m,) of each motor at full thrust if all the lateral drag acted at the rotors."""
+        return state.lateral @ self._side_drag
+
+    def effectiveness(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:
+        """B0 (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
+        matrix = self._nominal.copy()
+        matrix[YAW] += rotor_share * side_drag
+        return matrix
 
     def step(
         self, state: ResidualState, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray, dt_s: float
@@ -97,4 +118,5 @@ class ResidualFilter:
         )
         weight = state.weight + self._smooth * (0.5 * (shown + state.shown) - state.weight)
         measured = state.measured + self._smooth * (acceleration - state.measured)
-        return ResidualState(gyro, up, command, lagged, low_pass, sensor, shown, weight, measured, dt_s)
+        lateral = state.lateral + self._lateral * (specific_force[:2] - state.lateral)
+        return ResidualState(gyro, up, command, lagged, low_pass, sensor, shown, weight, measured, lateral, dt_s)
