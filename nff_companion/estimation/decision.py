@@ -28,7 +28,7 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
     confirm_s: float = 0.008
     confirm_gradual_s: float = 0.15
-    confirm_ambiguous_s: float = 0.03  # for pairs, which have more look-alikes
+    confirm_ambiguous_s: float = 0.015  # for pairs, which have more look-alikes
     failed_max: int = 4
     lift_effectiveness: float = 0.8
     lift_driven: float = 0.15  # thrust fraction that counts as driven

@@ -26,7 +26,7 @@ CORRELATION_S = 0.025  # of the residual after its filters: samples closer than 
 
 
 _SHARE_PRIOR, _SHARE_PRIOR_DEVIATION = 0.5, 0.35
-_SHARE_DRIFT_PER_S = 1e-4  # variance
+_SHARE_DRIFT_PER_S = 2e-5  # variance
 
 
 @dataclass(slots=True)

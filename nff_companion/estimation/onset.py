@@ -23,7 +23,7 @@ _AGES_S = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.16, 0.
 
 # Errors of the model grow with the residual itself (inertia, arm, thrust): this share of it, on each axis, is not
 # evidence. It keeps a large torque from drowning what the other axes say.
-MODEL_ERROR_SHARE = 0.12
+MODEL_ERROR_SHARE = 0.10
 YAW_ERROR_SHARE = 0.02  # yaw torque as a share of roll and pitch torque, besides the side drag
 # Windows for a loss that is older than the memory: it has been there in full all along.
 _STANDING_S = (0.1, 0.2)
