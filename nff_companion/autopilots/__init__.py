@@ -1,0 +1,1 @@
+"""Adapters: one file an autopilot behind one small interface (base.py)."""

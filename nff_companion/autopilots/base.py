@@ -1,0 +1,60 @@
+"""What an adapter is: telemetry in, commands out, and which commands its autopilot takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from nff_companion.link.codec import Message
+from nff_companion.pipeline import Output
+from nff_companion.telemetry import Sample
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What the autopilot takes. ``declare`` is the least; what is missing is said in the status, never ignored."""
+
+    declare: bool
+    matrix: bool
+    outputs: bool
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A message that the companion needs, and how often."""
+
+    message_id: int
+    rate_hz: float
+
+
+@dataclass(slots=True)
+class Applied:
+    """What the autopilot says it has in force."""
+
+    source: int = 0
+    failed: np.ndarray | None = None
+    matrix_sequence: int = 0
+    override_sequence: int = 0
+    declaration_sequence: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+
+
+class Adapter(Protocol):
+    """Observe, act, release. Knows messages, not sockets; time is the autopilot's."""
+
+    capabilities: Capabilities
+    applied: Applied
+
+    def streams(self, rate_hz: float) -> list[Stream]:
+        """Messages to ask for."""
+
+    def observe(self, message: Message) -> Sample | None:
+        """Take one message from the autopilot; a sample when it completes one."""
+
+    def act(self, output: Output) -> list[Message]:
+        """Commands that put ``output`` into force, to be sent now."""
+
+    def release(self, time_s: float) -> list[Message]:
+        """Commands that give the vehicle back to the autopilot, keeping confirmed declarations."""

@@ -1,0 +1,101 @@
+"""MAVLink telemetry to samples; the same for a live link and for a tlog.
+
+One sample a HIGHRES_IMU, with the newest of everything else: autopilots send it at the highest rate, with the time of
+the measurement. Motor outputs older than ``OUTPUT_AGE_MAX_S`` make the sample unusable (NaN), so that a stream that
+stopped is never mistaken for motors that stand still.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nff_companion.link.codec import Message, dialect
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import Vehicle
+
+OUTPUT_AGE_MAX_S = 0.1
+STATE_AGE_MAX_S = 0.5
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_MAX_SERVOS = 16
+
+
+class TelemetryDecoder:
+    """Remembers the newest of each message."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._names = [f"servo{i}_raw" for i in range(1, vehicle.motors + 1)]
+        self._armed = False
+        self._output: np.ndarray = np.full(vehicle.motors, np.nan)
+        self._output_s = -np.inf
+        self._quaternion: np.ndarray | None = None
+        self._position: np.ndarray | None = None
+        self._velocity: np.ndarray | None = None
+        self._position_s = -np.inf
+        self._target: np.ndarray | None = None
+        self._target_yaw: float | None = None
+        self._target_s = -np.inf
+        self._landed: bool | None = None
+        self._handlers = {
+            "HIGHRES_IMU": self._imu,
+            "SERVO_OUTPUT_RAW": self._servos,
+            "ATTITUDE_QUATERNION": self._attitude,
+            "LOCAL_POSITION_NED": self._local_position,
+            "POSITION_TARGET_LOCAL_NED": self._position_target,
+            "HEARTBEAT": self._heartbeat,
+            "EXTENDED_SYS_STATE": self._extended_state,
+        }
+
+    def observe(self, message: Message) -> Sample | None:
+        """Take one message of the autopilot; the sample that it completes, if any."""
+        handler = self._handlers.get(message.get_type())
+        return None if handler is None else handler(message)
+
+    def _heartbeat(self, message: Message) -> None:
+        self._armed = bool(message.base_mode & _ARMED)
+
+    def _extended_state(self, message: Message) -> None:
+        state = message.landed_state
+        self._landed = None if state == 0 else state == dialect.MAV_LANDED_STATE_ON_GROUND
+
+    def _servos(self, message: Message) -> None:
+        if message.port != 0:
+            return
+        if self._vehicle.motors > _MAX_SERVOS:
+            return
+        pwm = np.array([getattr(message, name) for name in self._names], float)
+        # 0 means that the autopilot does not drive the output (disarmed, or not a motor).
+        self._output = self._vehicle.output_of_pwm(pwm)
+        self._output_s = 1e-6 * message.time_usec
+
+    def _attitude(self, message: Message) -> None:
+        self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
+
+    def _local_position(self, message: Message) -> None:
+        self._position = np.array([message.x, message.y, message.z])
+        self._velocity = np.array([message.vx, message.vy, message.vz])
+        self._position_s = 1e-3 * message.time_boot_ms
+
+    def _position_target(self, message: Message) -> None:
+        self._target = np.array([message.x, message.y, message.z])
+        self._target_yaw = message.yaw
+        self._target_s = 1e-3 * message.time_boot_ms
+
+    def _imu(self, message: Message) -> Sample:
+        time_s = 1e-6 * message.time_usec
+        fresh = abs(time_s - self._output_s) <= OUTPUT_AGE_MAX_S
+        located = abs(time_s - self._position_s) <= STATE_AGE_MAX_S
+        aimed = abs(time_s - self._target_s) <= STATE_AGE_MAX_S
+        return Sample(
+            time_s=time_s,
+            gyro_rad_s=np.array([message.xgyro, message.ygyro, message.zgyro]),
+            specific_force_m_s2=np.array([message.xacc, message.yacc, message.zacc]),
+            output=self._output if fresh else np.full_like(self._output, np.nan),
+            armed=self._armed,
+            quaternion=self._quaternion,
+            position_m=self._position if located else None,
+            velocity_m_s=self._velocity if located else None,
+            target_position_m=self._target if aimed else None,
+            target_yaw_rad=self._target_yaw if aimed else None,
+            landed=self._landed,
+        )
