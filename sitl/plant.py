@@ -104,12 +104,12 @@ class Plant:
         torque[:, :2] = thrust @ self._arm
         reaction = p.torque_per_thrust_m[:, None] * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
         torque[:, 2] = reaction @ p.spin + push_y @ p.position_m[:, 0] - push_x @ p.position_m[:, 1]
-        torque += np.cross(p.pressure_centre_m, drag)
+        torque += rotation.cross(p.pressure_centre_m, drag)
         # Rotors turn against their reaction torque: spin +1 spins about -z.
         spin_momentum = -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
         momentum = p.inertia_kg_m2 * state.rate_rad_s
         momentum[:, 2] += spin_momentum
-        rate_dot = (torque - np.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
+        rate_dot = (torque - rotation.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
 
         acceleration = np.einsum("nij,nj->ni", matrix, force) / self.mass_kg[:, None]
         acceleration[:, 2] += GRAVITY_M_S2

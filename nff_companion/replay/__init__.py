@@ -1,0 +1,1 @@
+"""Flight logs through the same pipeline as in flight."""

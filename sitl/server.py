@@ -1,0 +1,247 @@
+"""The emulated vehicle in real time on MAVLink endpoints: one vehicle, any number of clients."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nff_companion.link.codec import Codec, Message, dialect
+from nff_companion.link.endpoint import Endpoint, open_endpoint
+from sitl.commands import Commander
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
+from sitl.link_model import LinkModel, LinkOptions
+from sitl.telemetry import Telemetry
+
+_DEFAULT_HZ = {
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    dialect.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
+    dialect.MAVLINK_MSG_ID_ATTITUDE: 10.0,
+}
+_LAG_MAX_S = 0.25  # a machine slower than this loses time instead of running behind for ever
+
+
+@dataclass(slots=True)
+class _Client:
+    endpoint: Endpoint
+    codec: Codec
+    down: LinkModel
+    up: LinkModel
+    every: dict[int, int] = field(default_factory=dict)  # message id to cycles
+
+
+class Server:
+    """Steps the fleet by the wall clock and speaks with its clients."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        urls: list[str],
+        *,
+        link: LinkOptions | None = None,
+        seed: int = 1,
+        system: int = 1,
+        on_cycle: Callable[[Fleet], None] | None = None,
+    ) -> None:
+        if fleet.vehicles != 1:
+            raise ValueError(f"a server has one vehicle, not {fleet.vehicles}")
+        self.fleet = fleet
+        self.telemetry = Telemetry(fleet)
+        self._commander = Commander(fleet, self.telemetry, system)
+        options = link or LinkOptions()
+        self._clients = [
+            _Client(
+                open_endpoint(url),
+                Codec(system, dialect.MAV_COMP_ID_AUTOPILOT1),
+                LinkModel(options, seed + 2 * k),
+                LinkModel(options, seed + 2 * k + 1),
+                {i: self._cycles(hz) for i, hz in _DEFAULT_HZ.items()},
+            )
+            for k, url in enumerate(urls)
+        ]
+        self._on_cycle = on_cycle
+        self.late_cycles = 0
+
+    @staticmethod
+    def _cycles(rate_hz: float) -> int:
+        return max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
+
+    def run(self, until_s: float, stop: Callable[[], bool] = lambda: False) -> None:
+        """Fly in real time until the fleet's clock reads ``until_s`` or ``stop()``."""
+        start = time.monotonic() - self.fleet.time_s
+        while self.fleet.time_s < until_s and not stop():
+            self.cycle()
+            ahead = self.fleet.time_s - (time.monotonic() - start)
+            if ahead > 0.0:
+                time.sleep(ahead)
+            elif ahead < -_LAG_MAX_S:
+                self.late_cycles += 1
+                start += -ahead
+
+    def cycle(self) -> None:
+        """One autopilot cycle: what has arrived, the step, what is due."""
+        now = self.fleet.time_s
+        for client in self._clients:
+            for data in client.endpoint.receive():
+                client.up.send(now, data)
+            for data in client.up.receive(now):
+                for message in client.codec.parse(data):
+                    self._take(client, message)
+        self.fleet.step()
+        if self._on_cycle is not None:
+            self._on_cycle(self.fleet)
+        now, cycle = self.fleet.time_s, self.fleet.cycle
+        for client in self._clients:
+            for message_id, maker in self.telemetry.makers.items():
+                every = client.every.get(message_id)
+                if every and cycle % every == 0:
+                    client.down.send(now, client.codec.pack(maker()))
+            for data in client.down.receive(now):
+                client.endpoint.send(data)
+
+    def close(self) -> None:
+        """Close the endpoints."""
+        for client in self._clients:
+            client.endpoint.close()
+
+    # -- messages -----------------------------------------------------------------------------------------------
+
+    def _reply(self, client: _Client, message: Message) -> None:
+        client.down.send(self.fleet.time_s, client.codec.pack(message))
+
+    def _take(self, client: _Client, message: Message) -> None:
+        target = getattr(message, "target_system", self._commander.system)
+        if target not in (0, self._commander.system):
+            return
+        handlers: dict[str, Callable[[_Client, Message], None]] = {
+            "COMMAND_LONG": self._command,
+            "COMMAND_INT": self._command,
+            "SET_MODE": self._set_mode,
+            "PARAM_REQUEST_LIST": self._param_list,
+            "PARAM_REQUEST_READ": self._param_read,
+            "PARAM_SET": self._param_set,
+            "TIMESYNC": self._timesync,
+            "SET_POSITION_TARGET_LOCAL_NED": self._position_target,
+            "MISSION_REQUEST_LIST": self._mission_list,
+            "NFF_ALLOCATION_MATRIX": self._matrix,
+            "NFF_ACTUATOR_OVERRIDE": self._override,
+            "NFF_MOTOR_DECLARATION": self._declaration,
+        }
+        handler = handlers.get(message.get_type())
+        if handler is not None:
+            handler(client, message)
+
+    def _command(self, client: _Client, message: Message) -> None:
+        if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
+            result, extra = self._set_interval(client, message), []
+        else:
+            result, extra = self._commander.command(message)
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        self._reply(client, dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
+        for item in extra:
+            self._reply(client, item)
+
+    def _set_interval(self, client: _Client, message: Message) -> int:
+        message_id, interval_us = int(message.param1), float(message.param2)
+        if message_id not in self.telemetry.makers:
+            return int(dialect.MAV_RESULT_UNSUPPORTED)
+        if interval_us < 0.0:
+            client.every.pop(message_id, None)
+        elif interval_us == 0.0:
+            client.every[message_id] = self._cycles(_DEFAULT_HZ.get(message_id, 10.0))
+        elif interval_us < 1e6 / AUTOPILOT_RATE_HZ - 1:
+            return int(dialect.MAV_RESULT_DENIED)
+        else:
+            client.every[message_id] = self._cycles(1e6 / interval_us)
+        return int(dialect.MAV_RESULT_ACCEPTED)
+
+    def _set_mode(self, client: _Client, message: Message) -> None:
+        self._commander.set_mode(message.custom_mode)
+
+    def _param_list(self, client: _Client, message: Message) -> None:
+        for name in self._commander.params:
+            value = self._commander.parameter(name)
+            if value is not None:
+                self._reply(client, value)
+
+    def _name(self, message: Message) -> str:
+        text = message.param_id
+        return text.decode(errors="replace").rstrip("\0") if isinstance(text, bytes) else text
+
+    def _param_read(self, client: _Client, message: Message) -> None:
+        name = self._name(message)
+        if message.param_index >= 0:
+            names = list(self._commander.params)
+            name = names[message.param_index] if message.param_index < len(names) else ""
+        value = self._commander.parameter(name)
+        if value is not None:
+            self._reply(client, value)
+
+    def _param_set(self, client: _Client, message: Message) -> None:
+        name = self._name(message)
+        if name in self._commander.params and np.isfinite(message.param_value):
+            self._commander.params[name] = float(message.param_value)
+        value = self._commander.parameter(name)
+        if value is not None:
+            self._reply(client, value)
+
+    def _timesync(self, client: _Client, message: Message) -> None:
+        if message.tc1 == 0:
+            self._reply(client, dialect.MAVLink_timesync_message(1000 * self.telemetry.time_usec, message.ts1))
+
+    def _position_target(self, client: _Client, message: Message) -> None:
+        self._commander.go_to(np.array([message.x, message.y, message.z]))
+
+    def _mission_list(self, client: _Client, message: Message) -> None:
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        self._reply(client, dialect.MAVLink_mission_count_message(*source, 0, message.mission_type))
+
+    # -- the companion's commands -------------------------------------------------------------------------------
+
+    def _times(self, message: Message) -> dict[str, float]:
+        offset = self.telemetry.time_usec - 1e6 * self.fleet.time_s
+        return {"sample_s": 1e-6 * (message.sample_usec - offset), "now_s": self.fleet.time_s}
+
+    def _matrix(self, client: _Client, message: Message) -> None:
+        port = self.fleet.autopilot.ports[0]
+        axes, motors = message.axes, message.motors
+        values = np.array(message.factors, float)
+        matrix = values[: axes * motors].reshape(motors, axes) if axes * motors <= len(values) else np.zeros((0, 0))
+        port.receive_matrix(
+            matrix,
+            sequence=message.sequence,
+            timeout_s=1e-3 * message.timeout_ms,
+            valid=bool(message.valid),
+            **self._times(message),
+        )
+        self.fleet.autopilot.port_changed()
+
+    def _override(self, client: _Client, message: Message) -> None:
+        port = self.fleet.autopilot.ports[0]
+        port.receive_override(
+            np.array(message.outputs[: message.motors], float),
+            sequence=message.sequence,
+            timeout_s=1e-3 * message.timeout_ms,
+            armed=bool(self.fleet.autopilot.armed[0]),
+            **self._times(message),
+        )
+        self.fleet.autopilot.port_changed()
+
+    def _declaration(self, client: _Client, message: Message) -> None:
+        motors = self.fleet.parameters.motors
+        failed = ((message.failed_mask >> np.arange(motors)) & 1).astype(bool)
+        port = self.fleet.autopilot.ports[0]
+        if message.failed_mask >> motors:
+            failed = np.zeros(0, bool)  # names motors that are not there: refused as a wrong dimension
+        port.receive_declaration(failed, sequence=message.sequence, **self._times(message))
+        self.fleet.autopilot.port_changed()
+        maker = self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]
+        self._reply(client, maker())
