@@ -18,6 +18,8 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
     ended_share: float = 0.3
     ended_after_s: float = 0.5
+    impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
+    impact_m_s2: float = 10.0  # and this much more
 
 
 class FlightPhase:
@@ -25,6 +27,9 @@ class FlightPhase:
 
     def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions) -> None:
         self._options, self._hover = options, vehicle.hover
+        full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
+        self._impact_m_s2 = options.impact_share * full + options.impact_m_s2
+        self._hit = False
         self._flying = False
         self._ground_m: float | None = None
         self._pushing_since_s: float | None = None
@@ -43,7 +48,13 @@ class FlightPhase:
             self._flying = self._flew = False
             self._ground_m = height
             self._pushing_since_s = None
+            self._hit = False
             return False
+        force = sample.specific_force_m_s2
+        if float(force @ force) > self._impact_m_s2**2:
+            # Whatever was hit still pushes: only a climb from here is flight again.
+            self._hit, self._ground_m, self._flying = True, height, False
+            self._pushing_since_s = None
         if share < o.thrust_share:
             self._pushing_since_s = None
         elif self._pushing_since_s is None or time_s < self._pushing_since_s:
@@ -58,6 +69,6 @@ class FlightPhase:
         elif self._pushing_since_s is not None:
             pushing = time_s - self._pushing_since_s
             high = height is not None and self._ground_m is not None and height - self._ground_m > o.height_m
-            self._flying = pushing >= (o.sure_after_s if high else o.assumed_after_s)
+            self._flying = (high and pushing >= o.sure_after_s) or (not self._hit and pushing >= o.assumed_after_s)
         self._flew = self._flew or self._flying
         return self._flying

@@ -1,0 +1,1 @@
+"""The command ``nff``: one file a group of commands."""

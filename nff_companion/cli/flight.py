@@ -1,0 +1,111 @@
+"""``nff sitl`` and ``nff demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nff_companion.cli.output import console, print_json, setup_logging
+from nff_companion.config import MODES
+from nff_companion.errors import ConfigError
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+
+def parse_failures(texts: list[str]) -> list[tuple[int, float]]:
+    """``["1@5", "3@8"]`` to [(1, 5.0), (3, 8.0)]. Raises ConfigError."""
+    out = []
+    for text in texts:
+        motor, _, seconds = text.partition("@")
+        try:
+            out.append((int(motor), float(seconds)))
+        except ValueError as error:
+            raise ConfigError(f"--fail {text!r} is not MOTOR@SECONDS, as in 1@5") from error
+    return out
+
+
+def sitl(
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    endpoint: Annotated[
+        list[str] | None, typer.Option("--endpoint", help="MAVLink endpoint; may be given several times.")
+    ] = None,
+    fail: Annotated[list[str] | None, typer.Option("--fail", help="MOTOR@SECONDS; may be given several times.")] = None,
+    wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 0.0,
+    model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 0.0,
+    height: Annotated[float, typer.Option(help="Start in the air at this height in m; 0: on the ground.")] = 0.0,
+    latency: Annotated[float, typer.Option(help="Latency of the link in ms.")] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Jitter of the link in ms.")] = 0.0,
+    loss: Annotated[float, typer.Option(help="Loss of datagrams in percent.")] = 0.0,
+    corruption: Annotated[float, typer.Option(help="Corruption of datagrams in percent.")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="End after so long; 0: never.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    json: Json = False,
+) -> None:
+    """Emulate a vehicle that speaks MAVLink, in real time."""
+    from nff_companion import vehicle
+    from nff_companion.trials.demo import crash_report
+    from sitl import airframe as plant_airframe
+    from sitl.faults import Fault
+    from sitl.fleet import Fleet, FleetOptions
+    from sitl.link_model import LinkOptions
+    from sitl.server import Server
+
+    setup_logging()
+    urls = endpoint or ["udpout:127.0.0.1:14561", "udpout:127.0.0.1:14540"]
+    faults = [Fault(vehicle=0, motor=m, start_s=s) for m, s in parse_failures(fail or [])]
+    options = FleetOptions(
+        seeds=[seed],
+        wind_m_s=wind,
+        turbulence_m_s=0.25 * wind,
+        model_error=0.01 * model_error,
+        height_m=height,
+    )
+    fleet = Fleet(plant_airframe.load(vehicle.path_of(airframe)), options, faults)
+    link = LinkOptions(
+        latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption
+    )
+    server = Server(fleet, urls, link=link, seed=seed)
+    console.print(f"{airframe} on {', '.join(urls)}", highlight=False)
+    try:
+        server.run(seconds or float("inf"))
+    except KeyboardInterrupt:
+        console.print("stopped")
+    finally:
+        server.close()
+    if json:
+        print_json(crash_report(fleet))
+
+
+def demo(
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    fail: Annotated[list[str] | None, typer.Option("--fail", help="MOTOR@SECONDS; may be given several times.")] = None,
+    wind: Annotated[float, typer.Option(help="Turbulent wind in m/s.")] = 4.0,
+    rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
+    mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    report: Annotated[Path, typer.Option(help="Where to write the picture.")] = Path("demo.report.html"),
+    json: Json = False,
+) -> None:
+    """Fly the same flight twice over UDP, without and with the companion, and compare."""
+    from nff_companion.trials import demo as demonstration
+    from nff_companion.trials.report import write_report
+
+    if mode not in MODES:
+        raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
+    options = demonstration.DemoOptions(
+        airframe=airframe,
+        failures=parse_failures(fail if fail else ["1@5", "3@8"]),
+        wind_m_s=wind,
+        rate_hz=rate,
+        mode=mode,
+        seed=seed,
+    )
+    result = demonstration.run(options, say=lambda text: console.print(text, highlight=False))
+    write_report(report, result)
+    console.print(f"picture: {report}", highlight=False, soft_wrap=True)
+    if json:
+        print_json(result.document)
+    else:
+        console.print(demonstration.side_by_side(result.document), highlight=False)

@@ -1,0 +1,45 @@
+"""Entry point of ``nff``."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+# One thread: the matrices are small, and idle BLAS threads would take memory and wake the cores in flight.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import typer
+
+from nff_companion.cli import bench, flight, operate, trials
+from nff_companion.cli.output import console
+from nff_companion.errors import NffError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Keeps a multirotor flying after motor failures.",
+)
+app.command("run")(operate.run)
+app.command("status")(operate.status)
+app.command("lift")(operate.lift)
+app.command("mode")(operate.mode)
+app.command("sitl")(flight.sitl)
+app.command("demo")(flight.demo)
+app.command("survey")(trials.survey)
+app.command("replay")(trials.replay)
+app.add_typer(bench.app, name="bench")
+
+
+def main() -> None:
+    """Run the command line; errors of ours are one line, not a trace."""
+    try:
+        app()
+    except NffError as error:
+        console.print(f"[red]nff:[/red] {error}", highlight=False, soft_wrap=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

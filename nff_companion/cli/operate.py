@@ -1,0 +1,111 @@
+"""``nff run``, ``status``, ``lift``, ``mode``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nff_companion.cli.output import console, print_json, setup_logging
+from nff_companion.config import default_status_socket
+from nff_companion.errors import EndpointError
+
+Socket = Annotated[str, typer.Option("--socket", help="Status socket of the daemon.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+
+def run(
+    config: Annotated[Path, typer.Option("--config", help="Configuration file (TOML).")],
+    json: Json = False,
+) -> None:
+    """Run the daemon until it is told to stop."""
+    from nff_companion import config as configuration
+    from nff_companion import daemon
+
+    setup_logging()
+    loaded = configuration.load(config)
+    code = daemon.run(loaded)
+    if json:
+        print_json({"config": str(config), "exit": code})
+    raise typer.Exit(code)
+
+
+def _table(state: dict[str, Any]) -> Any:
+    from rich.table import Table
+
+    table = Table(title=f"{state['airframe']}   {state['mode'].upper()}: {state['reason']}")
+    for column in ("motor", "effectiveness", "+-", "decision"):
+        table.add_column(column, justify="right")
+    colours = {"failed": "red", "degraded": "yellow", "healthy": "green"}
+    for motor in state["motors"]:
+        eta, deviation = motor["effectiveness"], motor["deviation"]
+        colour = colours.get(motor["decision"], "white")
+        table.add_row(
+            str(motor["motor"]),
+            "-" if eta is None else f"{eta:.2f}",
+            "-" if deviation is None else f"{deviation:.2f}",
+            f"[{colour}]{motor['decision']}[/{colour}]",
+        )
+    autopilot = state["autopilot"]
+    allocation = "no autopilot heard" if autopilot is None else f"motors driven by: {autopilot['allocation']}"
+    age = "never" if state["sample_age_s"] is None else f"{state['sample_age_s']:.2f} s ago"
+    table.caption = (
+        f"{state['rate_hz']:.0f} Hz, step {state['step_us']:.0f} us, last sample {age}; {allocation}; "
+        f"bad samples {state['counters']['bad_samples']}, bad frames {state['counters']['bad_frames']}, "
+        f"unallocated {state['unallocated']}"
+    )
+    return table
+
+
+def status(
+    json: Json = False,
+    once: Annotated[bool, typer.Option("--once", help="Show once instead of following.")] = False,
+    socket: Socket = "",
+) -> None:
+    """Show what the companion believes and does."""
+    from rich.live import Live
+
+    from nff_companion.status_server import ask
+
+    path = socket or default_status_socket()
+    if json or once:
+        state = ask(path, {"command": "status"})
+        if json:
+            print_json(state)
+        else:
+            console.print(_table(state))
+        return
+    with Live(console=console, refresh_per_second=5) as live:
+        while True:
+            try:
+                live.update(_table(ask(path, {"command": "status"})))
+            except EndpointError as error:
+                live.update(str(error))
+            except KeyboardInterrupt:
+                return
+            time.sleep(0.2)
+
+
+def _command(socket: str, request: dict[str, Any], json: bool) -> None:
+    from nff_companion.status_server import ask
+
+    answer = ask(socket or default_status_socket(), request)
+    if json:
+        print_json(answer)
+    else:
+        console.print(answer.get("error") or f"{answer['mode']}: {answer['reason']}")
+    raise typer.Exit(1 if "error" in answer else 0)
+
+
+def lift(motor: Annotated[int, typer.Argument(help="Motor, from 1.")], json: Json = False, socket: Socket = "") -> None:
+    """Lift the declaration of a motor: you say that it works."""
+    _command(socket, {"command": "lift", "motor": motor}, json)
+
+
+def mode(
+    name: Annotated[str, typer.Argument(help="observe, allocate or override.")], json: Json = False, socket: Socket = ""
+) -> None:
+    """Set the mode of the running daemon."""
+    _command(socket, {"command": "mode", "mode": name}, json)

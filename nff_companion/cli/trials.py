@@ -1,0 +1,99 @@
+"""``nff survey`` and ``nff replay``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nff_companion.cli.output import console, print_json
+from nff_companion.config import MODES
+from nff_companion.errors import ConfigError, LogError
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+
+def survey(
+    singles: Annotated[bool, typer.Option("--singles", help="Every single failure (the default).")] = False,
+    pairs: Annotated[bool, typer.Option("--pairs", help="Every simultaneous double failure.")] = False,
+    healthy: Annotated[float, typer.Option("--healthy", help="Minutes to fly without a failure instead.")] = 0.0,
+    seeds: Annotated[int, typer.Option(help="Seeds for each set of failures.")] = 3,
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
+    link_delay: Annotated[float, typer.Option(help="Delay of the link each way in ms.")] = 10.0,
+    model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 10.0,
+    wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 4.0,
+    speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
+    mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
+    detector: Annotated[str, typer.Option(help="sparse, or the peer imm.")] = "sparse",
+    workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
+    json: Json = False,
+) -> None:
+    """Fly every failure in virtual time, with and without the companion."""
+    from nff_companion import vehicle
+    from nff_companion.trials import survey as surveys
+
+    if mode not in MODES:
+        raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
+    if singles and pairs:
+        raise ConfigError("--singles and --pairs exclude each other: run two surveys")
+    options = surveys.SurveyOptions(
+        airframe=airframe,
+        seeds=seeds,
+        rate_hz=rate,
+        link_delay_s=1e-3 * link_delay,
+        model_error=0.01 * model_error,
+        wind_m_s=wind,
+        speed_m_s=speed,
+        mode=MODES[mode],
+        detector=detector,
+    )
+    if healthy > 0.0:
+        document = surveys.run_healthy(options, healthy, workers or None)
+    else:
+        sets = surveys.failure_sets(vehicle.load(airframe).motors, pairs=pairs)
+        document = surveys.run(options, sets, workers or None)
+    if json:
+        print_json(document)
+        return
+    for flight in document["flights"]:
+        baseline = flight["baseline_survived"]
+        console.print(
+            f"motors {flight['motors']!s:9} seed {flight['seed']}: {'flies' if flight['survived'] else 'CRASH'}"
+            f" (without: {'-' if baseline is None else 'flies' if baseline else 'CRASH'}),"
+            f" named {flight['named']}, delay {flight['delay_s']} s, tilt {flight['max_tilt_deg']:.1f} deg,"
+            f" off by {flight['max_position_error_m']:.2f} m",
+            highlight=False,
+        )
+    for key, value in document["summary"].items():
+        console.print(f"{key}: {value}", highlight=False)
+
+
+def replay(
+    logs: Annotated[list[Path], typer.Argument(help="ULog or tlog files.")],
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")],
+    json: Json = False,
+) -> None:
+    """Find failed motors in flight logs. Exit code 0: none, 1: found, 2: a log was unreadable."""
+    from nff_companion import vehicle as vehicle_model
+    from nff_companion.replay.run import replay as replay_log
+
+    vehicle = vehicle_model.load(airframe)
+    flights, unreadable = [], 0
+    for path in logs:
+        try:
+            flights.append(replay_log(path, vehicle))
+        except LogError as error:
+            unreadable += 1
+            console.print(f"[red]nff:[/red] {error}", highlight=False, soft_wrap=True)
+    if json:
+        print_json({"flights": flights})
+    else:
+        for flight in flights:
+            faults = ", ".join(
+                f"motor {f['motor']} at {f['time_s']:.3f} s (effectiveness {f['effectiveness']:.2f})"
+                for f in flight["faults"]
+            )
+            console.print(f"{flight['file']}: {faults or 'no fault'}", highlight=False, soft_wrap=True)
+    raise typer.Exit(2 if unreadable else int(any(f["faults"] for f in flights)))
