@@ -50,6 +50,7 @@ class Server:
         seed: int = 1,
         system: int = 1,
         on_cycle: Callable[[Fleet], None] | None = None,
+        on_message: Callable[[Message, float], None] | None = None,
     ) -> None:
         if fleet.vehicles != 1:
             raise ValueError(f"a server has one vehicle, not {fleet.vehicles}")
@@ -67,7 +68,7 @@ class Server:
             )
             for k, url in enumerate(urls)
         ]
-        self._on_cycle = on_cycle
+        self._on_cycle, self._on_message = on_cycle, on_message
         self.late_cycles = 0
 
     @staticmethod
@@ -88,13 +89,7 @@ class Server:
 
     def cycle(self) -> None:
         """One autopilot cycle: what has arrived, the step, what is due."""
-        now = self.fleet.time_s
-        for client in self._clients:
-            for data in client.endpoint.receive():
-                client.up.send(now, data)
-            for data in client.up.receive(now):
-                for message in client.codec.parse(data):
-                    self._take(client, message)
+        self._listen()
         self.fleet.step()
         if self._on_cycle is not None:
             self._on_cycle(self.fleet)
@@ -107,6 +102,22 @@ class Server:
             for data in client.down.receive(now):
                 client.endpoint.send(data)
 
+    def _listen(self) -> None:
+        now = self.fleet.time_s
+        for client in self._clients:
+            for data in client.endpoint.receive():
+                client.up.send(now, data)
+            for data in client.up.receive(now):
+                for message in client.codec.parse(data):
+                    self._take(client, message)
+
+    def greet(self) -> None:
+        """Send a heartbeat and listen, without moving the vehicle's time: clients may connect first."""
+        for client in self._clients:
+            maker = self.telemetry.makers[dialect.MAVLINK_MSG_ID_HEARTBEAT]
+            client.endpoint.send(client.codec.pack(maker()))
+        self._listen()
+
     def close(self) -> None:
         """Close the endpoints."""
         for client in self._clients:
@@ -118,6 +129,8 @@ class Server:
         client.down.send(self.fleet.time_s, client.codec.pack(message))
 
     def _take(self, client: _Client, message: Message) -> None:
+        if self._on_message is not None:
+            self._on_message(message, self.fleet.time_s)
         target = getattr(message, "target_system", self._commander.system)
         if target not in (0, self._commander.system):
             return

@@ -1,0 +1,37 @@
+# make env, make demo, make test: nothing but Python >= 3.11 and make is needed.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.ready
+
+.PHONY: env demo test lint lock train-env clean
+
+env: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml hatch_build.py mavlink_dialect/nff.xml mavlink_dialect/generate.py
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python mavlink_dialect/generate.py > /dev/null 2>&1
+	touch $(STAMP)
+
+demo: env
+	$(BIN)/nff demo
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Pins every dependency of every extra but train; run after a change of pyproject.toml.
+lock: env
+	$(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+		--extra sim --extra dev --extra build -o requirements.lock
+
+train-env: env
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[train]'
+
+clean:
+	rm -rf .venv build dist *.egg-info

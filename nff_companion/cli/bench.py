@@ -1,0 +1,50 @@
+"""``nff bench loop`` and ``nff bench allocation``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from nff_companion.cli.output import console, print_json
+
+app = typer.Typer(no_args_is_help=True, help="Measure the daemon's loop and the allocation methods.")
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+
+@app.command("loop")
+def loop(
+    rate: Annotated[float, typer.Option(help="Samples per second.")] = 400.0,
+    seconds: Annotated[float, typer.Option(help="How long.")] = 10.0,
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    json: Json = False,
+) -> None:
+    """Last datagram of a sample in, override that answers it out; beside a bare MAVLink echo."""
+    from nff_companion.trials.loop_bench import measure
+
+    document = measure(rate_hz=rate, seconds=seconds, airframe=airframe)
+    if json:
+        print_json(document)
+        return
+    for key, value in document.items():
+        console.print(f"{key}: {value}", highlight=False)
+
+
+@app.command("allocation")
+def allocation(
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    hover: Annotated[float, typer.Option(help="Hover fraction h; 0: the airframe's.")] = 0.5,
+    json: Json = False,
+) -> None:
+    """Solve time and torque at hover of every allocation method, healthy and after each one or two failures."""
+    from nff_companion.trials.allocation_bench import measure
+
+    document = measure(airframe=airframe, hover=hover)
+    if json:
+        print_json(document)
+        return
+    for name, result in document["methods"].items():
+        console.print(f"{name}: median {result['median_us']:.0f} us, p99 {result['p99_us']:.0f} us", highlight=False)
+        for case in ("healthy", "1", "1+2", "1+3"):
+            if case in result["torque"]:
+                console.print(f"   {case:8} {result['torque'][case]}", highlight=False)

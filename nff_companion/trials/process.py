@@ -1,0 +1,64 @@
+"""Start and end a daemon as a process of its own, for demonstrations, benchmarks and tests."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+_END_S = 5.0
+
+
+def config_text(
+    *, endpoint: str, airframe: str, mode: str, rate_hz: float, socket: Path, thrust_to_weight: float | None = None
+) -> str:
+    """A configuration file."""
+    ratio = "" if thrust_to_weight is None else f"thrust_to_weight = {thrust_to_weight}\n"
+    return (
+        f'[link]\nendpoint = "{endpoint}"\nrate_hz = {rate_hz}\n\n'
+        f'[vehicle]\nairframe = "{airframe}"\n{ratio}\n'
+        f'[companion]\nmode = "{mode}"\nstatus_socket = "{socket}"\n'
+    )
+
+
+class DaemonProcess:
+    """``nff run`` as a child; a context manager."""
+
+    def __init__(self, config: Path, log: Path | None = None, environment: dict[str, str] | None = None) -> None:
+        self._log = None if log is None else log.open("ab")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "nff_companion.cli.main", "run", "--config", str(config)],
+            stdout=subprocess.DEVNULL,
+            stderr=self._log if self._log is not None else None,
+            env={**os.environ, **(environment or {})},
+        )
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    def kill(self) -> None:
+        """SIGKILL: as a crash."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self) -> None:
+        """SIGTERM, then SIGKILL when it does not end."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def __enter__(self) -> DaemonProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
