@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import select
 import signal
@@ -60,6 +61,9 @@ class Daemon:
         """Until SIGTERM or SIGINT. Raises nothing that the link or its data may cause."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
+        # What exists now stays: the collector need not walk it in flight.
+        gc.collect()
+        gc.freeze()
         self._notifier.ready()
         log.info("running: %s on %s, mode %s", self.vehicle.name, self._config.link.endpoint, self._config.companion.mode)
         try:
@@ -114,7 +118,11 @@ class Daemon:
         if self._lost and adapter.applied.failed is not None:
             # After a restart in flight the autopilot knows better than we do what has been declared.
             self.pipeline.adopt(adapter.applied.failed)
-        output = self.pipeline.step(sample)
+        override = self.pipeline.respond(sample)
+        if override is not None:
+            self._send(adapter.drive(override, sample.time_s))
+            self.reporter.commands_sent += 1
+        output = self.pipeline.step(sample, override)
         for command in adapter.act(output):
             self._send(command)
             self.reporter.commands_sent += 1

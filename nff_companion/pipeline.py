@@ -6,6 +6,7 @@ virtual time.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -90,11 +91,13 @@ class Pipeline:
         self._planned_for = np.ones(m)
         self._planned_s = -np.inf
         self._low_since_s = np.full(m, np.nan)
+        self._untouched = True  # all motors healthy, the autopilot's own allocation in force
         self._refusal = ""
         self._hold: Reference | None = None
         self._integral = np.zeros(3)
         self._healthy = make_plan(self._allocate, vehicle.effectiveness, np.ones(m), vehicle.hover)
         self._none = np.zeros(n)
+        self._disturbance = np.zeros(n)
         self.bad_samples = 0
         self.rejected = 0
 
@@ -124,11 +127,12 @@ class Pipeline:
         command = sample.thrust if sample.thrust is not None else sample.output
         if command.shape != (self.vehicle.motors,):
             return f"telemetry has {command.size} motor outputs, the airframe {self.vehicle.motors}: check the airframe"
-        if not np.isfinite(command).all():
+        # A sum is finite only if all its terms are.
+        if not math.isfinite(float(command.sum())):
             return "motor outputs missing in telemetry"
-        if not (np.isfinite(sample.gyro_rad_s).all() and np.isfinite(sample.specific_force_m_s2).all()):
+        if not math.isfinite(float(sample.gyro_rad_s.sum()) + float(sample.specific_force_m_s2.sum())):
             return "gyro or accelerometer not finite"
-        if not np.isfinite(sample.time_s):
+        if not math.isfinite(sample.time_s):
             return "time of the sample not finite"
         return None
 
@@ -138,8 +142,21 @@ class Pipeline:
         self._trouble = reason
         return self._output(time_s, None, [], None)
 
-    def step(self, sample: Sample) -> Output:
-        """One sample."""
+    def respond(self, sample: Sample) -> np.ndarray | None:
+        """Motor outputs (m,) that answer ``sample`` in override mode, None in every other.
+
+        To be called before ``step`` with the same sample: the answer rests on what was believed up to the sample
+        before (u_k on g(x, u_(k-1)), equation (6.7)), so that no estimation stands between a sample and its outputs.
+        """
+        if self.mode != Mode.OVERRIDE or self._trouble or self._state is None or self._last_s is None:
+            return None
+        gap = sample.time_s - self._last_s
+        if not 0.0 < gap <= self.options.gap_max_s or self._refuse(sample) is not None:
+            return None
+        return self._close_loop(sample, gap)
+
+    def step(self, sample: Sample, override: np.ndarray | None = None) -> Output:
+        """One sample; ``override``: what ``respond`` answered to it."""
         reason = self._refuse(sample)
         if reason is not None:
             return self._bad(self._last_s or 0.0, reason)
@@ -172,8 +189,8 @@ class Pipeline:
             return self._bad(time_s, f"estimator: {error}")
         self._failed = estimate.failed
         self._trouble = "" if time_s - self._good_since_s >= self.options.recover_s else "recovering"
+        self._disturbance = estimate.disturbance
         self._replan(time_s, estimate)
-        override = self._close_loop(sample, estimate, gap) if self._acting() == Mode.OVERRIDE else None
         return self._output(time_s, estimate, estimate.events, override)
 
     def stream_lost(self, reason: str) -> Output:
@@ -197,7 +214,11 @@ class Pipeline:
     def _replan(self, time_s: float, estimate: Estimate) -> None:
         """Solve the allocation again when what is believed of the motors has moved."""
         o = self.options
+        clear = float(estimate.effectiveness.min()) >= o.shape_full_at and not estimate.failed.any()
+        if clear and self._untouched:
+            return
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
+        self._untouched = clear
         if low.any():
             self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
             degraded = low & (time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s)
@@ -212,11 +233,13 @@ class Pipeline:
         change = float(np.abs(target - self._planned_for).max())
         declared = bool(estimate.events)
         if not declared and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
+            self._untouched = self._untouched and change == 0.0
             return
         self._planned_s, self._planned_for = time_s, target
         if (target == 1.0).all():
             self._plan, self._refusal = None, ""
             return
+        self._untouched = False
         plan = make_plan(self._allocate, self.vehicle.effectiveness, target, self.vehicle.hover)
         if isinstance(plan, Refusal):
             self.rejected += 1
@@ -226,15 +249,15 @@ class Pipeline:
 
     # -- override -----------------------------------------------------------------------------------------------
 
-    def _close_loop(self, sample: Sample, estimate: Estimate, dt_s: float) -> np.ndarray | None:
+    def _close_loop(self, sample: Sample, dt_s: float) -> np.ndarray | None:
         """Motor outputs (m,) by (6.18), None when the state is not known."""
         plan = self._plan or (self._healthy if isinstance(self._healthy, Plan) else None)
         if plan is None or sample.quaternion is None or sample.position_m is None or sample.velocity_m_s is None:
-            self._trouble = "override needs attitude, position and velocity: not in telemetry"
+            self._refusal = "override needs attitude, position and velocity: not in telemetry"
             return None
-        known = np.concatenate([sample.quaternion, sample.position_m, sample.velocity_m_s])
-        if not np.isfinite(known).all():
-            self._trouble = "override: attitude or position not finite"
+        known = float(sample.quaternion.sum() + sample.position_m.sum() + sample.velocity_m_s.sum())
+        if not math.isfinite(known):
+            self._refusal = "override: attitude or position not finite"
             return None
         if self._hold is None:
             q = sample.quaternion
@@ -246,12 +269,12 @@ class Pipeline:
             yaw = reference.yaw_rad if sample.target_yaw_rad is None else sample.target_yaw_rad
             reference = Reference(sample.target_position_m, np.zeros(3), yaw)
         state = State(sample.position_m, sample.velocity_m_s, sample.quaternion, sample.gyro_rad_s)
-        demand, self._integral = self._law.demand(state, reference, self._integral, estimate.disturbance, dt_s)
+        demand, self._integral = self._law.demand(state, reference, self._integral, self._disturbance, dt_s)
         thrust, _ = saturate(plan.matrix, demand)
         output = self.vehicle.output_for(thrust)
-        output[estimate.failed] = 0.0
-        if not np.isfinite(output).all():
-            self._trouble = "override: outputs not finite"
+        output[self._failed] = 0.0
+        if not math.isfinite(float(output.sum())):
+            self._refusal = "override: outputs not finite"
             return None
         return output
 

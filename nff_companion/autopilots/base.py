@@ -56,5 +56,8 @@ class Adapter(Protocol):
     def act(self, output: Output) -> list[Message]:
         """Commands that put ``output`` into force, to be sent now."""
 
+    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
+        """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""
+
     def release(self, time_s: float) -> list[Message]:
         """Commands that give the vehicle back to the autopilot, keeping confirmed declarations."""

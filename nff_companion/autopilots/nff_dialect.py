@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nff_companion.autopilots.base import Applied, Capabilities, Stream
@@ -66,12 +68,19 @@ class NffDialectAdapter:
             return None
         return self._decoder.observe(message)
 
+    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
+        """Motor outputs (m,) that answer the sample of ``time_s``."""
+        padded = outputs.tolist() + [math.nan] * (_OUTPUTS - len(outputs))
+        return dialect.MAVLink_nff_actuator_override_message(
+            round(1e6 * time_s), self._next(), OVERRIDE_TIMEOUT_MS, *self.target, len(outputs), padded
+        )
+
     def _next(self) -> int:
         self._sequence = (self._sequence + 1) % 2**32
         return self._sequence
 
     def act(self, output: Output) -> list[Message]:
-        """Declaration when it changed or is not yet confirmed, matrix at 20 Hz and on change, outputs each time."""
+        """Declaration when it changed or is not yet confirmed, matrix at 20 Hz and on change."""
         if output.mode == Mode.OBSERVE:
             return []
         system, component = self.target
@@ -97,20 +106,6 @@ class NffDialectAdapter:
         elif self._plan is not None:
             self._plan = None
             messages += self.release(output.time_s)
-        if output.override is not None:
-            padded = np.full(_OUTPUTS, np.nan)
-            padded[: len(output.override)] = output.override
-            messages.append(
-                dialect.MAVLink_nff_actuator_override_message(
-                    sample_usec,
-                    self._next(),
-                    OVERRIDE_TIMEOUT_MS,
-                    system,
-                    component,
-                    len(output.override),
-                    padded.tolist(),
-                )
-            )
         return messages
 
     def _matrix_message(self, matrix: np.ndarray, sample_usec: int) -> Message:

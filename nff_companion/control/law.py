@@ -20,6 +20,7 @@ _INTEGRAL_PER_S = 0.35
 _INTEGRAL_MAX_M_S2 = 3.0
 _LINK_AND_FILTER_S = 0.03  # delays of the loop besides the motors' lag
 _YAW_SHARE = 0.5  # yaw is slower than roll and pitch
+_RATE_MAX_RAD_S, _YAW_RATE_MAX_RAD_S = 4.0, 1.0
 _MIN_THRUST_SHARE = 0.15  # of hover: the vehicle stays controllable while it falls
 
 
@@ -60,20 +61,48 @@ class State:
     rate_rad_s: np.ndarray
 
 
-def rotation_matrix(q: np.ndarray) -> np.ndarray:
-    """(3, 3) body to NED of the quaternion (w, x, y, z)."""
-    w, x, y, z = (float(v) for v in q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+Vector = tuple[float, float, float]
+
+
+def _axes(q: np.ndarray) -> tuple[Vector, Vector, Vector]:
+    """The body's axes in NED (columns of the rotation matrix) of the quaternion (w, x, y, z)."""
+    w, x, y, z = q.tolist()
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
     )
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _scaled(a: Vector, k: float) -> Vector:
+    return a[0] * k, a[1] * k, a[2] * k
+
+
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)
+
+
+def attitude_error(body: tuple[Vector, Vector, Vector], desired: tuple[Vector, Vector, Vector]) -> Vector:
+    """Rotation vector in the body frame, rad, from the ``body`` axes to the ``desired`` ones."""
+    sine_axis = [0.0, 0.0, 0.0]
+    trace = 0.0
+    for have, want in zip(body, desired, strict=True):
+        part = _cross(have, want)
+        for k in range(3):
+            sine_axis[k] += 0.5 * part[k]
+        trace += _dot(have, want)
+    world = (sine_axis[0], sine_axis[1], sine_axis[2])
+    sine = math.sqrt(_dot(world, world))
+    scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 1e-9 else 1.0
+    return _dot(body[0], world) * scale, _dot(body[1], world) * scale, _dot(body[2], world) * scale
 
 
 class ControlLaw:
@@ -82,7 +111,7 @@ class ControlLaw:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self.gains = Gains.of(vehicle)
-        self._inertia = vehicle.inertia_kg_m2
+        self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._scale = 1.0 / vehicle.row_scale
 
     def demand(
@@ -93,7 +122,7 @@ class ControlLaw:
         ``disturbance`` (n,): slow residual, upward specific force m/s^2 and angular accelerations rad/s^2.
         """
         g = self.gains
-        matrix = rotation_matrix(state.quaternion)
+        body = _axes(state.quaternion)
         error = reference.position_m - state.position_m
         size = math.sqrt(float(error @ error))
         if size > _POSITION_ERROR_MAX_M:
@@ -102,37 +131,37 @@ class ControlLaw:
         if size < _POSITION_ERROR_MAX_M:
             integral = integral + dt_s * _INTEGRAL_PER_S * g.velocity * g.position * error
             integral = np.minimum(np.maximum(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
-        wanted[2] = min(max(float(wanted[2]), -_VERTICAL_MAX_M_S2), _VERTICAL_MAX_M_S2)
-        lateral = math.hypot(wanted[0], wanted[1])
-        lateral_max = (GRAVITY_M_S2 - wanted[2]) * math.tan(_TILT_MAX_RAD)
+        north, east, down_wanted = wanted.tolist()
+        down_wanted = _clip(down_wanted, _VERTICAL_MAX_M_S2)
+        lateral = math.hypot(north, east)
+        lateral_max = (GRAVITY_M_S2 - down_wanted) * math.tan(_TILT_MAX_RAD)
         if lateral > lateral_max:
-            wanted[:2] *= lateral_max / lateral
-        push = np.array([wanted[0], wanted[1], wanted[2] - GRAVITY_M_S2])  # specific force wanted, NED
-        length = math.sqrt(float(push @ push))
-        up = matrix[:, 2] * -1.0
-        specific = max(float(push @ up), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(disturbance[0])
+            north, east = north * lateral_max / lateral, east * lateral_max / lateral
+        push = (north, east, down_wanted - GRAVITY_M_S2)  # specific force wanted, NED
+        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(disturbance[0])
 
-        down = -push / length
-        heading = np.array([math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0])
+        down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
+        heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)
         right = _cross(down, heading)
-        right /= math.sqrt(float(right @ right))
-        desired = np.column_stack([_cross(right, down), right, down])
-        relative = matrix.T @ desired
-        skew = 0.5 * (relative - relative.T)
-        axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-        sine = math.sqrt(float(axis @ axis))
-        angle = math.atan2(sine, 0.5 * (float(np.trace(relative)) - 1.0))
-        if sine > 1e-9:
-            axis *= angle / sine
-        rate = g.attitude * axis
-        rate[2] *= _YAW_SHARE
-        limit = np.array([4.0, 4.0, 1.0])
-        rate = np.minimum(np.maximum(rate, -limit), limit)
-        angular = g.rate * (rate - state.rate_rad_s) - disturbance[1:4]
-        angular[2] *= _YAW_SHARE
-        j, w = self._inertia, state.rate_rad_s
-        torque = j * angular + _cross(w, j * w)
-        return np.concatenate([[self._vehicle.mass_kg * specific], torque]) * self._scale, integral
+        right = _scaled(right, 1.0 / math.sqrt(_dot(right, right)))
+        axis = attitude_error(body, (_cross(right, down), right, down))
+        w, j = state.rate_rad_s.tolist(), self._inertia
+        slow = _YAW_SHARE
+        angular = (
+            g.rate * (_clip(g.attitude * axis[0], _RATE_MAX_RAD_S) - w[0]) - float(disturbance[1]),
+            g.rate * (_clip(g.attitude * axis[1], _RATE_MAX_RAD_S) - w[1]) - float(disturbance[2]),
+            slow * (g.rate * (_clip(slow * g.attitude * axis[2], _YAW_RATE_MAX_RAD_S) - w[2]) - float(disturbance[3])),
+        )
+        gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
+        demand = np.array([self._vehicle.mass_kg * specific, *(j[k] * angular[k] + gyroscopic[k] for k in range(3))])
+        return demand * self._scale, integral
+
+
+def _room(value: np.ndarray, part: np.ndarray) -> float:
+    """Largest share of ``part`` in 0..1 that ``value`` + share * part keeps within 0..1."""
+    limit = np.where(part > 0.0, 1.0 - value, value)
+    size = np.maximum(np.abs(part), 1e-12)
+    return max(min(float((limit / size).min()), 1.0), 0.0)
 
 
 def saturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,31 +169,23 @@ def saturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Returns the thrusts and the demand that was served.
     """
+    out = matrix @ demand
+    if out.min() >= 0.0 and out.max() <= 1.0:
+        return out, demand
     served = demand.copy()
-    thrust = matrix[:, 0] * served[0]
     attitude = matrix[:, 1:3] @ served[1:3]
-    yaw = matrix[:, 3] * served[3]
-    base = thrust + attitude
-    share = 1.0
-    for value, part in ((base, yaw),):
-        rising, falling = part > 1e-12, part < -1e-12
-        if rising.any():
-            share = min(share, float(((1.0 - value[rising]) / part[rising]).min()))
-        if falling.any():
-            share = min(share, float((value[falling] / -part[falling]).min()))
-    served[3] *= max(share, 0.0)
-    out = base + max(share, 0.0) * yaw
     span = float(attitude.max() - attitude.min())
-    if out.max() > 1.0 or out.min() < 0.0:
-        if span > 1.0:
-            served[1:3] /= span
-            attitude = attitude / span
-        low, high = float((thrust + attitude).min()), float((thrust + attitude).max())
-        collective = matrix[:, 0]
-        lift = collective[collective > 1e-6]
-        if high > 1.0 and len(lift):
-            served[0] -= (high - 1.0) / float(lift.max())
-        elif low < 0.0 and len(lift):
-            served[0] += min(-low / float(lift.max()), 0.3 * demand[0])
-        out = matrix[:, 0] * served[0] + attitude
+    if span > 1.0:
+        served[1:3] /= span
+        attitude = attitude / span
+    collective = matrix[:, 0]
+    base = collective * served[0] + attitude
+    served[3] *= _room(base, matrix[:, 3] * served[3])
+    out = base + matrix[:, 3] * served[3]
+    largest = max(float(collective.max()), 1e-6)
+    if out.max() > 1.0:
+        served[0] -= (float(out.max()) - 1.0) / largest
+    elif out.min() < 0.0:
+        served[0] += min(-float(out.min()) / largest, 0.3 * float(demand[0]))
+    out = collective * served[0] + attitude + matrix[:, 3] * served[3]
     return np.minimum(np.maximum(out, 0.0), 1.0), served

@@ -72,6 +72,7 @@ class DecisionState:
     since_s: float = 0.0
     gradual_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: not low
     healthy_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: no evidence
+    quiet: bool = True  # nothing is being confirmed
 
     @staticmethod
     def start(motors: int) -> DecisionState:
@@ -156,6 +157,8 @@ class Decision:
         """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
         coefficient); ``driven`` (m,) thrust fractions that the motors are asked for."""
         o = self.options
+        if best is None and not state.failed.any() and float(effectiveness.min()) > 1.0 - o.loss_gradual:
+            return (state if state.quiet else DecisionState.start(len(effectiveness))), []
         events: list[Event] = []
         failed = state.failed
         candidate, since = (), time_s
@@ -186,7 +189,7 @@ class Decision:
         if lifted.any():
             failed = failed & ~lifted
             events += [Event(time_s, int(i) + 1, False, float(effectiveness[i]), 1.0) for i in np.flatnonzero(lifted)]
-        return DecisionState(failed, candidate, since, gradual, healthy), events
+        return DecisionState(failed, candidate, since, gradual, healthy, quiet=False), events
 
     def _convincing(self, best: Hypothesis) -> bool:
         o = self.options

@@ -31,6 +31,7 @@ class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     forgetting_per_s: float = 8.0  # w_f of the sparse estimate
     gamma: float = 20.0  # l1 weight, nats
+    solve_interval_s: float = 0.01  # of the sparse program; its sums take every sample
     gamma_onset: float = 1.0
     decision: DecisionOptions = DecisionOptions()
 
@@ -47,6 +48,7 @@ class EstimatorState:
     decision: DecisionState
     started_s: float
     suspicious_since_s: float | None
+    solved_s: float
     effectiveness: np.ndarray
     deviation: np.ndarray
 
@@ -103,6 +105,7 @@ class Estimator:
             decision=decision,
             started_s=time_s,
             suspicious_since_s=None,
+            solved_s=-np.inf,
             effectiveness=np.ones(m),
             deviation=np.ones(m),
         )
@@ -137,7 +140,10 @@ class Estimator:
             sums = self._onset.sums(onset, matrix, self._disturbance.variance(state.disturbance), yaw_error)
             best = self._decision.best(sums, decision.failed, o.gamma_onset)
         suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
-        effectiveness, deviation = self._effectiveness(information, decision.failed)
+        solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
+        if time_s - solved_s >= o.solve_interval_s - 1e-9:
+            solved_s = time_s
+            effectiveness, deviation = self._effectiveness(information, decision.failed)
         decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command)
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
@@ -158,6 +164,7 @@ class Estimator:
             decision,
             state.started_s,
             suspicious_since,
+            solved_s,
             effectiveness,
             deviation,
         )

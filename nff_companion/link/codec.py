@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import struct
 from types import ModuleType
 from typing import Any
 
@@ -17,6 +18,7 @@ except ModuleNotFoundError as error:
 
 Message = Any
 COMPANION_COMPONENT = 191
+_MAGIC, _OVERHEAD = 0xFD, 12  # start of a MAVLink 2 frame; bytes besides its payload
 
 
 def has_fast_crc() -> bool:
@@ -52,9 +54,17 @@ class Codec:
 
     def parse(self, data: bytes) -> list[Message]:
         """Messages complete with ``data``; frames that do not parse are counted and dropped."""
+        if self._whole_frame(data):
+            # A datagram that is one frame, the rule on UDP, need not go through the byte-wise parser.
+            try:
+                message = self._mav.decode(bytearray(data))
+                return [message] if message.get_msgId() >= 0 else []
+            except (dialect.MAVError, struct.error):
+                self.bad_frames += 1
+                return []
         try:
             messages = self._mav.parse_buffer(data)
-        except dialect.MAVError:
+        except (dialect.MAVError, struct.error):
             self.bad_frames += 1
             return []
         if not messages:
@@ -62,6 +72,16 @@ class Codec:
         good = [m for m in messages if m.get_msgId() >= 0]
         self.bad_frames += len(messages) - len(good)
         return good
+
+    def _whole_frame(self, data: bytes) -> bool:
+        """Whether ``data`` is exactly one unsigned MAVLink 2 frame, and the parser has nothing left over."""
+        return (
+            len(data) > _OVERHEAD
+            and data[0] == _MAGIC
+            and data[2] == 0
+            and len(data) == data[1] + _OVERHEAD
+            and self._mav.buf_len() == 0
+        )
 
     def pack(self, message: Message) -> bytes:
         """Frame with the next sequence number."""

@@ -33,7 +33,7 @@ _SAMPLE = (
 
 def echo(port: int, ready: Any) -> None:
     """The peer: parse one message, pack one, until told to stop (COMMAND_LONG)."""
-    codec = Codec(1, 191)
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", port))
         sock.setblocking(False)
@@ -47,11 +47,11 @@ def echo(port: int, ready: Any) -> None:
                 data, sender = sock.recvfrom(65535)
             except BlockingIOError:
                 continue
-            for message in codec.parse(data):
+            for message in mav.parse_buffer(data) or []:
                 if message.get_type() == "COMMAND_LONG":
                     return
                 answer = dialect.MAVLink_nff_actuator_override_message(message.time_usec, 1, 100, 1, 1, 8, outputs)
-                sock.sendto(codec.pack(answer), sender)
+                sock.sendto(answer.pack(mav), sender)
 
 
 class _Feeder:

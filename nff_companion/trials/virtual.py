@@ -57,7 +57,8 @@ class Companion:
     def think(self, now_s: float) -> None:
         """Process the samples that have arrived and send what follows from them."""
         for message in self.down.receive(now_s):
-            output = self.pipeline.step(message)  # type: ignore[arg-type]
+            assert isinstance(message, Sample)
+            output = self.pipeline.step(message, self.pipeline.respond(message))
             self.outputs = output
             self.events += [(now_s, event) for event in output.events]
             if output.mode == Mode.OBSERVE:
