@@ -13,6 +13,7 @@ from nff_companion.vehicle import YAW
 
 # Below this share of full torque left for roll or pitch at hover, yaw is given up for them.
 ATTITUDE_AUTHORITY_MIN = 0.05
+_AUTHORITY_FLOOR = 0.01  # below this nothing is left to fly with, yaw given up or not
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ def make_plan(allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarra
         if reason:
             continue
         left = authority(matrix, hover)
-        if not released and left[: YAW - 1].min() < ATTITUDE_AUTHORITY_MIN:
+        if left[: YAW - 1].min() < (_AUTHORITY_FLOOR if released else ATTITUDE_AUTHORITY_MIN):
             reason = f"roll/pitch authority at hover only {left[: YAW - 1].min():.2f}"
             continue
         demand = np.zeros(nominal.shape[0])

@@ -65,6 +65,7 @@ def survey(
             f" named {flight['named']}, delay {flight['delay_s']} s, tilt {flight['max_tilt_deg']:.1f} deg,"
             f" off by {flight['max_position_error_m']:.2f} m",
             highlight=False,
+            soft_wrap=True,
         )
     for key, value in document["summary"].items():
         console.print(f"{key}: {value}", highlight=False)

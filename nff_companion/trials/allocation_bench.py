@@ -25,7 +25,7 @@ def _case(allocate: Allocator, nominal: np.ndarray, failed: tuple[int, ...], hov
 
 
 def measure(*, airframe: str, hover: float) -> dict[str, Any]:
-    """The document of ``nff bench allocation``; torque null where a method has no solution with all axes."""
+    """The document of ``nff bench allocation``; no torque (zeros) where a method has no solution with all axes."""
     vehicle = vehicle_model.load(airframe)
     chosen = hover or vehicle.hover
     nominal = vehicle.effectiveness
@@ -34,7 +34,7 @@ def measure(*, airframe: str, hover: float) -> dict[str, Any]:
     methods: dict[str, Any] = {}
     for name in METHODS:
         allocate = allocator(name)
-        torque: dict[str, list[float] | None] = {}
+        torque: dict[str, list[float]] = {}
         times: list[float] = []
         for failed in cases:
             matrix = None
@@ -43,7 +43,8 @@ def measure(*, airframe: str, hover: float) -> dict[str, Any]:
                 matrix = _case(allocate, nominal, failed, chosen)
                 times.append(1e6 * (time.perf_counter() - began))
             label = "+".join(map(str, failed)) or "healthy"
-            torque[label] = None if matrix is None else [round(float(t), 4) for t in authority(matrix, chosen)]
+            left = np.zeros(vehicle.axes - 1) if matrix is None else authority(matrix, chosen)
+            torque[label] = [round(float(t), 4) for t in left]
         methods[name] = {
             "median_us": round(float(np.median(times)), 1),
             "p99_us": round(float(np.percentile(times, 99)), 1),

@@ -1,0 +1,33 @@
+"""Shared fixtures. Random tests take their seed from NFF_TEST_SEED or draw one, and print it."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nff_companion import vehicle
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    seed = int(os.environ.get("NFF_TEST_SEED", random.SystemRandom().randrange(2**31)))
+    print(f"{request.node.name}: seed {seed}")
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session")
+def octo() -> vehicle.Vehicle:
+    return vehicle.load("octo-x")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not os.environ.get("NFF_DATA"):
+        terminalreporter.write_line(
+            "NFF_DATA is not set: the tests on recorded flights DID NOT RUN (README, section Data)", red=True, bold=True
+        )

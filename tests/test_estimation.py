@@ -1,0 +1,242 @@
+"""Every recursion equals its batch solution; the sparse program is the one that is written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import optimize, signal
+
+from nff_companion.estimation import hypotheses, sparse
+from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
+from nff_companion.estimation.filters import LowPass, lag_share, loss_response
+from nff_companion.estimation.onset import MODEL_ERROR_SHARE, YAW_ERROR_SHARE, OnsetBank
+from nff_companion.estimation.residual import SMOOTHING_S, ResidualFilter
+from nff_companion.vehicle import Vehicle
+
+DT = 0.005
+
+
+def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: np.ndarray, noise: float = 0.0):
+    b = octo.acceleration_effectiveness
+    u = 0.4 + 0.1 * rng.standard_normal((samples, 8))
+    y = np.einsum("ni,ki,i->kn", b, u, loss) + noise * rng.standard_normal((samples, 4))
+    return b, u, y
+
+
+def test_information_recursion_equals_the_batch_sums(octo: Vehicle, rng: np.random.Generator) -> None:
+    b, u, y = data(rng, octo, 300, np.zeros(8), noise=1.0)
+    weight = rng.uniform(0.5, 2.0, 4)
+    forgetting = 3.0
+    state = sparse.Information.empty(8)
+    for k in range(300):
+        state = sparse.update(state, b * u[k], y[k], weight, DT, forgetting)
+    age = np.exp(-forgetting * DT * np.arange(299, -1, -1))
+    matrix = sum(a * DT * (b * w).T @ np.diag(weight) @ (b * w) for a, w in zip(age, u, strict=True))
+    vector = sum(a * DT * (b * w).T @ (weight * v) for a, w, v in zip(age, u, y, strict=True))
+    energy = sum(a * DT * v @ (weight * v) for a, v in zip(age, y, strict=True))
+    np.testing.assert_allclose(state.matrix, matrix, rtol=1e-10)
+    np.testing.assert_allclose(state.vector, vector, rtol=1e-10)
+    assert state.energy == pytest.approx(energy, rel=1e-10)
+
+
+def test_sparse_step_is_the_minimum_of_the_written_cost(octo: Vehicle, rng: np.random.Generator) -> None:
+    loss = np.zeros(8)
+    loss[[2, 5]] = -0.8, -0.3
+    b, u, y = data(rng, octo, 80, loss, noise=0.2)
+    gamma = 0.1
+    state = sparse.Information.empty(8)
+    for k in range(80):
+        state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
+
+    def cost(e: np.ndarray) -> float:
+        misfit = y - np.einsum("ni,ki,i->kn", b, u, e)
+        return 0.5 * DT * float((misfit**2).sum()) + gamma * float(np.abs(e).sum())
+
+    best = optimize.minimize(cost, -0.5 * np.ones(8), bounds=[(-1.0, 0.0)] * 8, method="L-BFGS-B", tol=1e-12)
+    e = sparse.solve(state, gamma)
+    assert cost(e) <= best.fun + 1e-5
+    np.testing.assert_allclose(e, best.x, atol=2e-2)
+    assert e[2] == pytest.approx(-0.8, abs=0.1)
+    assert np.count_nonzero(e < -0.05) == 2
+
+
+def test_sparse_step_agrees_with_osqp(octo: Vehicle, rng: np.random.Generator) -> None:
+    import osqp
+    from scipy import sparse as scipy_sparse
+
+    b, u, y = data(rng, octo, 60, -rng.uniform(0, 1, 8), noise=1.0)
+    state = sparse.Information.empty(8)
+    for k in range(60):
+        state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
+    peer = osqp.OSQP()
+    hessian = state.matrix + np.eye(8) * 1e-6 * np.trace(state.matrix)
+    peer.setup(
+        scipy_sparse.csc_matrix(np.triu(hessian)),
+        -(state.vector + 1.0),
+        scipy_sparse.identity(8, format="csc"),
+        -np.ones(8),
+        np.zeros(8),
+        verbose=False,
+        eps_abs=1e-9,
+        eps_rel=1e-9,
+        max_iter=50000,
+    )
+    np.testing.assert_allclose(sparse.solve(state, 1.0), peer.solve().x, atol=1e-4)
+
+
+def test_the_other_sign_of_gamma_would_drive_healthy_motors_to_minus_one(octo: Vehicle, rng: np.random.Generator) -> None:
+    b, u, y = data(rng, octo, 2, np.zeros(8))
+    state = sparse.update(sparse.Information.empty(8), b * u[0], y[0], np.ones(4), DT, 0.0)
+    assert np.abs(sparse.solve(state, 50.0)).max() < 1e-12
+    assert sparse.solve(state, -50.0).min() == -1.0
+
+
+def test_an_undriven_motor_keeps_no_opinion(octo: Vehicle) -> None:
+    b = octo.acceleration_effectiveness
+    u = np.full(8, 0.4)
+    u[3] = 0.0
+    state = sparse.update(sparse.Information.empty(8), b * u, -b[:, 3] * 0.4, np.ones(4), DT, 0.0)
+    assert sparse.solve(state, 1.0)[3] == 0.0
+
+
+@pytest.mark.parametrize(("eta", "shaped"), [(1.0, 1.0), (0.75, 1.0), (0.525, 0.5), (0.30, 0.0), (0.29, 0.0), (0.0, 0.0)])
+def test_shaping_is_equation_24(eta: float, shaped: float) -> None:
+    assert sparse.shape(np.array([eta]), 0.75, 0.30)[0] == pytest.approx(shaped)
+
+
+def test_low_pass_and_lag_equal_scipy(rng: np.random.Generator) -> None:
+    low_pass = LowPass.design(20.0, DT)
+    assert low_pass is not None
+    x = rng.standard_normal((200, 3))
+    state = low_pass.settled(np.zeros(3))
+    mine = []
+    for row in x:
+        state, out = low_pass.step(state, row)
+        mine.append(out)
+    b, a = signal.butter(2, 20.0, fs=1 / DT)
+    np.testing.assert_allclose(mine, signal.lfilter(b, a, x, axis=0), atol=1e-9)
+    share = lag_share(DT, 0.045)
+    lagged, step = 0.0, []
+    for _ in range(50):
+        lagged += share * (1.0 - lagged)
+        step.append(lagged)
+    np.testing.assert_allclose(step, 1 - np.exp(-DT * np.arange(1, 51) / 0.045), atol=1e-12)
+
+
+def test_residual_of_a_vehicle_that_does_what_the_model_says_is_nought(octo: Vehicle, rng: np.random.Generator) -> None:
+    """Thrusts through lag, exact integration and the same gyro filter: no transient may remain."""
+    chain = ResidualFilter(octo, DT)
+    b = octo.acceleration_effectiveness
+    low_pass = LowPass.design(octo.telemetry.gyro_filter_hz, DT)
+    assert low_pass is not None
+    command = np.full(8, octo.hover)
+    lagged = command.copy()
+    up, down = (lag_share(DT, t) for t in (octo.motor.time_constant_up_s, octo.motor.time_constant_down_s))
+    shown_state = low_pass.settled(b @ lagged)
+    shown = b @ lagged
+    gyro = np.zeros(3)
+    state = chain.start(gyro, np.array([0, 0, -shown[0]]), command)
+    worst = 0.0
+    for _ in range(400):
+        before, command = command, np.clip(octo.hover + 0.1 * rng.standard_normal(8), 0, 1)
+        held = 0.5 * (before + command)
+        lagged = lagged + np.where(held > lagged, up, down) * (held - lagged)
+        last = shown
+        shown_state, shown = low_pass.step(shown_state, b @ lagged)
+        gyro = gyro + DT * 0.5 * (last[1:] + shown[1:])
+        state = chain.step(state, gyro, np.array([0, 0, -shown[0]]), command, DT)
+        j, w = octo.inertia_kg_m2, gyro - 0.25 * DT * (last[1:] + shown[1:])
+        gyroscopic = np.cross(w, j * w) / j
+        state_y = state.measured - b @ state.weight
+        worst = max(worst, float(np.abs(state_y[0])))
+        assert np.abs(state_y[1:]).max() < 1e-6 + 10 * np.abs(gyroscopic).max()
+    assert worst < 1e-9
+
+
+def test_onset_sums_equal_sums_over_the_history(octo: Vehicle, rng: np.random.Generator) -> None:
+    bank = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, LowPass.design(20.0, DT))
+    b, u, y = data(rng, octo, 90, np.zeros(8), noise=3.0)
+    state = bank.start()
+    for k in range(90):
+        state = bank.push(state, u[k], y[k])
+    variance = np.array([0.1, 2.0, 2.0, 0.3])
+    sums = bank.sums(state, b, variance, 0.01)
+    response = loss_response(DT, bank.length, 0.045, LowPass.design(20.0, DT), SMOOTHING_S)
+    counts = [round(a / DT) for a in sums.age_s]
+    energy = np.array([(y[-c:] ** 2).sum(axis=0) for c in counts])
+    level = (energy / np.array(counts)[:, None]).max(axis=0)
+    error = MODEL_ERROR_SHARE**2 * level
+    error[3] += ((octo.inertia_kg_m2[:2] / octo.inertia_kg_m2[2]) ** 2 @ level[1:3]) * (YAW_ERROR_SHARE**2 + 0.01**2)
+    w = np.diag(DT / (CORRELATION_S * (variance + error)))
+    for row, count in enumerate(counts[:-2]):  # the last two windows are for standing losses
+        g = response[:count]
+        matrix = sum(gk**2 * (b * v).T @ w @ (b * v) for gk, v in zip(g, u[-count:], strict=True))
+        vector = sum(gk * (b * v).T @ w @ r for gk, v, r in zip(g, u[-count:], y[-count:], strict=True))
+        np.testing.assert_allclose(sums.matrix[row], matrix, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(sums.vector[row], vector, rtol=1e-8, atol=1e-8)
+        assert sums.energy[row] == pytest.approx(float(np.trace(w @ np.diag(energy[row]))), rel=1e-9)
+
+
+def test_pairs_are_searched_exactly(octo: Vehicle, rng: np.random.Generator) -> None:
+    b, u, y = data(rng, octo, 40, -rng.uniform(0, 1, 8), noise=1.0)
+    state = sparse.Information.empty(8)
+    for k in range(40):
+        state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
+    first, second = np.triu_indices(8, 1)
+    scores = hypotheses.pairs(state.matrix[None], state.vector[None], 1.0, first, second)
+    for h in range(len(first)):
+        chosen = [first[h], second[h]]
+        s, q = state.matrix[np.ix_(chosen, chosen)], state.vector[chosen] + 1.0
+        grid = np.linspace(-1, 0, 101)
+        x, z = np.meshgrid(grid, grid)
+        value = q[0] * x + q[1] * z - 0.5 * (s[0, 0] * x * x + 2 * s[0, 1] * x * z + s[1, 1] * z * z)
+        assert scores.improvement[0, h] >= value.max() - 1e-9
+        assert scores.improvement[0, h] <= value.max() + 0.02 * abs(value.max()) + 1e-3
+
+
+def test_nuisance_motors_take_no_blame_and_give_none(octo: Vehicle, rng: np.random.Generator) -> None:
+    """A declared motor that still pushes must not make its opposite look dead."""
+    b = octo.acceleration_effectiveness
+    state = sparse.Information.empty(8)
+    for _ in range(60):
+        u = 0.4 + 0.05 * rng.standard_normal(8)
+        y = 0.5 * b[:, 0] * u[0]  # motor 1, modelled as dead, pushes with half its thrust
+        state = sparse.update(state, b * u, y, np.ones(4), DT, 0.0)
+    matrix, vector, energy, free = hypotheses.without_nuisance(
+        state.matrix[None], state.vector[None], np.array([state.energy]), np.array([0])
+    )
+    assert free[0, 0] == pytest.approx(0.5, abs=1e-3)
+    assert np.abs(vector).max() < 1e-3 * np.abs(state.vector).max()
+    assert energy[0] < 1e-3 * state.energy
+    assert not matrix[0, 0].any()
+
+
+def test_side_drag_recursion_equals_batch_least_squares(rng: np.random.Generator) -> None:
+    slopes = rng.standard_normal(400)
+    truth, deviation = 0.8, 0.05
+    y = truth * slopes + deviation * rng.standard_normal(400)
+    state = SideDragState()
+    prior_mean, prior_variance = state.share, state.variance
+    noise = deviation**2 * CORRELATION_S / DT
+    for slope, value in zip(slopes, y, strict=True):
+        state = learn_side_drag(state, slope, value - state.share * slope, deviation**2, DT)
+    precision = 1 / prior_variance + (slopes**2).sum() / noise
+    batch = (prior_mean / prior_variance + (slopes * y).sum() / noise) / precision
+    assert state.share == pytest.approx(batch, abs=2e-3)
+    assert state.share == pytest.approx(truth, abs=0.02)
+
+
+def test_the_disturbance_may_not_grow_into_the_place_of_a_motor(octo: Vehicle) -> None:
+    disturbance = Disturbance(octo)
+    state = disturbance.start()
+    loss = -octo.acceleration_effectiveness[:, 0] * octo.hover
+    for _ in range(20000):
+        state = disturbance.step(state, loss, DT)
+    assert np.abs(state.mean[1:3]).max() < 0.7 * np.abs(loss[1:3]).max()
+
+
+def test_a_sudden_loss_shows_monotonically_from_nought_to_one() -> None:
+    response = loss_response(DT, 200, 0.045, LowPass.design(20.0, DT), SMOOTHING_S)
+    assert response[0] < 0.1
+    assert response[-1] == pytest.approx(1.0, abs=1e-3)
+    assert np.all(np.diff(response) > -1e-3)

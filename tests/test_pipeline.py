@@ -1,0 +1,184 @@
+"""The pipeline as a pilot needs it: bad input never acts, declarations latch, any airframe."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from nff_companion import vehicle
+from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
+from nff_companion.telemetry import Sample
+from nff_companion.trials.virtual import VirtualFlight
+from sitl import airframe as plant_airframe
+from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
+
+RATE = 200.0
+
+
+def flight(
+    name: str, faults: list[Fault], *, mode: Mode = Mode.ALLOCATE, wind: float = 3.0, seed: int = 1, error: float = 0.05
+) -> VirtualFlight:
+    nominal = plant_airframe.load(vehicle.path_of(name))
+    options = FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=wind, turbulence_m_s=0.25 * wind, model_error=error)
+    return VirtualFlight(
+        Fleet(nominal, options, faults),
+        {0: PipelineOptions(mode=mode)},
+        airframe=name,
+        thrust_to_weight=None,
+        rate_hz=RATE,
+        link_delay_s=0.01,
+    )
+
+
+def fly(trial: VirtualFlight, seconds: float) -> Output:
+    for _ in range(int(400 * seconds)):
+        trial.step()
+    assert trial.companions[0].outputs is not None
+    return trial.companions[0].outputs
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Sample]:
+    """6 s of healthy hover as samples; copied by whoever changes them."""
+    trial = flight("octo-x", [], mode=Mode.OBSERVE)
+    samples: list[Sample] = []
+    send = trial.companions[0].down.send
+    trial.companions[0].down.send = lambda now, message: (samples.append(message), send(now, message))[1]  # type: ignore[method-assign]
+    fly(trial, 6.0)
+    return samples
+
+
+def run(samples: list[Sample], mode: Mode = Mode.ALLOCATE) -> tuple[Pipeline, list[Output]]:
+    pipeline = Pipeline(vehicle.load("octo-x"), RATE, PipelineOptions(mode=mode))
+    return pipeline, [pipeline.step(s, pipeline.respond(s)) for s in samples]
+
+
+def test_a_healthy_hover_sends_nothing(recorded: list[Sample]) -> None:
+    _, outputs = run(recorded)
+    assert outputs[-1].mode == Mode.ALLOCATE
+    assert outputs[-1].reason == "all motors healthy"
+    assert all(o.plan is None and not o.events for o in outputs)
+    assert outputs[-1].effectiveness.min() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"gyro_rad_s": np.array([np.nan, 0, 0])}, "gyro"),
+        ({"specific_force_m_s2": np.array([0, np.inf, 0])}, "accelerometer"),
+        ({"output": np.full(8, np.nan)}, "motor outputs"),
+        ({"output": np.full(6, 0.5)}, "6 motor outputs, the airframe 8"),
+        ({"time_s": math.nan}, "time"),
+        ({"time_s": 1.0}, "time jumped by -"),
+        ({"time_s": 1e6}, "time jumped by +"),
+    ],
+)
+def test_bad_input_degrades_to_observe_with_a_reason(recorded: list[Sample], change: dict, word: str) -> None:
+    pipeline, _ = run(recorded[:800])
+    output = pipeline.step(dataclasses.replace(recorded[800], **change))
+    assert output.mode == Mode.OBSERVE
+    assert word in output.reason
+    assert output.plan is None
+    assert output.override is None
+    assert pipeline.bad_samples >= 1
+
+
+def test_after_bad_input_good_samples_bring_it_back(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:800])
+    pipeline.step(dataclasses.replace(recorded[800], gyro_rad_s=np.full(3, np.nan)))
+    modes = [pipeline.step(s).mode for s in recorded[801:]]
+    assert modes[0] == Mode.OBSERVE, "one good sample is not enough"
+    assert modes[-1] == Mode.ALLOCATE
+
+
+def test_override_answers_nothing_to_a_bad_sample(recorded: list[Sample]) -> None:
+    pipeline, outputs = run(recorded[:900], Mode.OVERRIDE)
+    assert outputs[-1].override is not None
+    assert np.all((outputs[-1].override >= 0) & (outputs[-1].override <= 1))
+    for change in (
+        {"quaternion": np.full(4, np.nan)},
+        {"position_m": None},
+        {"velocity_m_s": np.array([0, 0, np.inf])},
+        {"gyro_rad_s": np.full(3, np.nan)},
+        {"time_s": recorded[900].time_s + 5.0},
+    ):
+        assert pipeline.respond(dataclasses.replace(recorded[900], **change)) is None, change
+
+
+def test_silence_is_an_observe_with_its_reason(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded)
+    output = pipeline.stream_lost("telemetry stopped for 0.30 s")
+    assert (output.mode, output.reason) == (Mode.OBSERVE, "telemetry stopped for 0.30 s")
+
+
+def test_on_the_ground_nothing_is_estimated(recorded: list[Sample]) -> None:
+    idle = [dataclasses.replace(s, output=np.full(8, 0.15)) for s in recorded]
+    _, outputs = run(idle)
+    assert not any(o.flying for o in outputs)
+
+
+def test_a_declaration_latches_while_the_motor_stands_still_and_the_operator_lifts_it() -> None:
+    trial = flight("octo-x", [Fault(vehicle=0, motor=4, start_s=4.0)])
+    assert fly(trial, 12.0).failed.tolist() == [False] * 3 + [True] + [False] * 4
+    assert trial.fleet.autopilot.output[0, 3] == 0.0, "the declared motor is stopped"
+    trial.companions[0].pipeline.lift(4)
+    assert not trial.companions[0].pipeline._failed.any()
+
+
+def test_a_wrong_declaration_is_lifted_by_evidence_while_the_motor_is_driven() -> None:
+    trial = flight("octo-x", [], mode=Mode.OBSERVE)  # the autopilot goes on driving every motor
+    fly(trial, 4.0)
+    trial.companions[0].pipeline.adopt(np.eye(8, dtype=bool)[1])
+    output = fly(trial, 4.0)
+    assert not output.failed.any()
+    assert [(e.motor, e.declared) for _, e in trial.companions[0].events] == [(2, False)]
+
+
+def test_a_motor_that_fails_partly_is_allocated_around_without_a_declaration() -> None:
+    trial = flight("octo-x", [Fault(vehicle=0, motor=2, start_s=4.0, kind="partial", effectiveness=0.55)])
+    output = fly(trial, 8.0)
+    assert not output.failed.any()
+    assert output.degraded.tolist() == [False, True] + [False] * 6
+    assert output.effectiveness[1] == pytest.approx(0.55, abs=0.12)
+    assert output.plan is not None
+
+
+@pytest.mark.parametrize("kind", ["ramp", "stuck", "intermittent"])
+def test_other_faults_name_no_healthy_motor(kind: str) -> None:
+    trial = flight("octo-x", [Fault(vehicle=0, motor=6, start_s=4.0, kind=kind, effectiveness=0.0, duration_s=1.5)])
+    fly(trial, 10.0)
+    named = {e.motor for _, e in trial.companions[0].events if e.declared}
+    assert named <= {6}
+    if kind != "stuck":
+        assert named == {6}
+    assert not trial.fleet.state.crashed[0]
+
+
+@pytest.mark.parametrize("name", ["hexa-x", "octo-plus", "coax-x8", "paper-octo"])
+def test_other_airframes_go_through_the_whole_pipeline(name: str) -> None:
+    motors = vehicle.load(name).motors
+    for motor in (1, motors):
+        trial = flight(name, [Fault(vehicle=0, motor=motor, start_s=4.0)], wind=2.0)
+        output = fly(trial, 8.0)
+        assert [int(i) + 1 for i in np.flatnonzero(output.failed)] == [motor]
+        assert output.plan is not None
+        assert output.plan.matrix.shape == (motors, 4)
+        assert not trial.fleet.state.crashed[0]
+
+
+def test_a_flight_in_override_survives_a_failure_and_never_falls_back() -> None:
+    trial = flight("octo-x", [Fault(vehicle=0, motor=5, start_s=6.0)], mode=Mode.OVERRIDE)
+    worst = 0.0
+    for cycle in range(int(400 * 12.0)):
+        trial.step()
+        if cycle > 400 * 3.0:
+            assert trial.fleet.autopilot.allocation[0] == 3, "outputs of the companion are in force"
+            worst = max(worst, float(np.linalg.norm(trial.fleet.state.position_m[0] - [0, 0, -10.0])))
+    assert trial.companions[0].outputs is not None
+    assert trial.companions[0].outputs.failed.tolist() == [False] * 4 + [True] + [False] * 3
+    assert not trial.fleet.state.crashed[0]
+    assert worst < 3.0
