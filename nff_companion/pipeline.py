@@ -219,6 +219,8 @@ class Pipeline:
             return
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
         self._untouched = clear
+        if int(low.sum()) > 1:
+            low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         if low.any():
             self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
             degraded = low & (time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s)

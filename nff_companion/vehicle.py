@@ -175,19 +175,19 @@ class Vehicle:
         c = self.command
         return np.clip((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0, 1.0)
 
-    def relabelled(self, quarter_turns: int) -> Vehicle:
-        """The same airframe with nose and motor numbers turned by 90 degrees times ``quarter_turns``.
+    def renumbered(self, quarter_turns: int) -> Vehicle:
+        """The same airframe with its nose turned by quarter turns and its motors numbered on by as many places.
 
-        For checks that nothing depends on where the nose is; needs an airframe that this symmetry maps to itself.
+        For checks that nothing depends on where the nose is or which motor is the first.
         """
-        turned = object.__new__(Vehicle)
-        turned.__dict__.update({k: v for k, v in self.__dict__.items() if not isinstance(v, np.ndarray)})
+        other = object.__new__(Vehicle)
+        other.__dict__.update({k: v for k, v in self.__dict__.items() if not isinstance(v, np.ndarray)})
         c, s = round(math.cos(quarter_turns * math.pi / 2)), round(math.sin(quarter_turns * math.pi / 2))
-        turned.position_m = self.position_m @ np.array([[c, s], [-s, c]])
-        turned.spin = self.spin.copy()
+        other.position_m = np.roll(self.position_m @ np.array([[c, s], [-s, c]]), quarter_turns, axis=0)
+        other.spin = np.roll(self.spin, quarter_turns)
         inertia = self.inertia_kg_m2
-        turned.inertia_kg_m2 = inertia[[1, 0, 2]] if quarter_turns % 2 else inertia.copy()
-        return turned
+        other.inertia_kg_m2 = inertia[[1, 0, 2]] if quarter_turns % 2 else inertia.copy()
+        return other
 
 
 def names() -> list[str]:

@@ -54,7 +54,7 @@ class Wind:
         # The lateral and vertical Dryden forms have a zero after two poles: the first state plus its difference to
         # a second lag gives that spectrum's (1 + sqrt(3) T s) / (1 + T s)^2.
         self._second = self._decay * self._second + (1 - self._decay) * self._first
-        shaped = self._first + (math.sqrt(3) - 1) * (self._first - self._second)
+        shaped = (self._first + (math.sqrt(3) - 1) * (self._first - self._second)) / math.sqrt(2)
         u, v, w = self._first[:, :1], shaped[:, 1:2], shaped[:, 2:3]
         wind = self.mean + self._sigma * (u * self._along + v * self._across)
         wind[:, 2:3] += self._sigma * 0.5 * w

@@ -46,8 +46,13 @@ def recorded() -> list[Sample]:
     """6 s of healthy hover as samples; copied by whoever changes them."""
     trial = flight("octo-x", [], mode=Mode.OBSERVE)
     samples: list[Sample] = []
-    send = trial.companions[0].down.send
-    trial.companions[0].down.send = lambda now, message: (samples.append(message), send(now, message))[1]  # type: ignore[method-assign]
+    step = trial.companions[0].pipeline.step
+
+    def record(sample: Sample, override: np.ndarray | None = None) -> Output:
+        samples.append(dataclasses.replace(sample, gyro_rad_s=sample.gyro_rad_s.copy()))
+        return step(sample, override)
+
+    trial.companions[0].pipeline.step = record  # type: ignore[method-assign]
     fly(trial, 6.0)
     return samples
 

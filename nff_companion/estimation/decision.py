@@ -27,7 +27,7 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
     loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
     confirm_s: float = 0.008
-    confirm_gradual_s: float = 0.15
+    confirm_gradual_s: float = 0.3
     confirm_ambiguous_s: float = 0.015  # for pairs, which have more look-alikes
     failed_max: int = 4
     lift_effectiveness: float = 0.8

@@ -24,6 +24,7 @@ _SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypothese
 _LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
 _LEARN_FAST_RATE = 6.0
 _FREEZE_MAX_S = 1.0
+_CLEAR_LOSS, _FEW = 0.12, 2  # a loss that counts as one, and of how many motors at most: more is a disturbance
 
 
 class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -149,7 +150,9 @@ class Estimator:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(len(command)), self._onset.start()
         rate = self._learning_rate(time_s, state.started_s, suspicious_since)
-        disturbance = self._disturbance.step(state.disturbance, raw, dt_s, rate)
+        explained = self._explained(effectiveness, decision.failed)
+        rest = raw if explained is None else raw - matrix @ (filtered.weight * explained)
+        disturbance = self._disturbance.step(state.disturbance, rest, dt_s, rate)
         learnt = state.side_drag
         if rate == 1.0:
             learnt = learn_side_drag(
@@ -184,6 +187,17 @@ class Estimator:
         eta = 1.0 + sparse.solve(rest, self.options.gamma)
         eta[nuisance] = np.clip(free[0], 0.0, 1.2)
         return eta, sparse.deviation(information)
+
+    @staticmethod
+    def _explained(effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
+        """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it too
+        (THEORY 4.3): the loss of a few, and what declared motors still give. None: nothing."""
+        loss = effectiveness - 1.0
+        low = (loss < -_CLEAR_LOSS) & ~failed
+        few = 0 < int(low.sum()) <= _FEW
+        if not few and not failed.any():
+            return None
+        return np.where(failed, effectiveness, np.where(low & few, loss, 0.0))
 
     @staticmethod
     def _learning_rate(time_s: float, started_s: float, suspicious_since_s: float | None) -> float:

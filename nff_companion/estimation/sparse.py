@@ -74,10 +74,12 @@ def solve(information: Information, gamma: float, lower: np.ndarray | None = Non
 
 
 def deviation(information: Information, prior: float = 1.0) -> np.ndarray:
-    """Standard deviation (m,) of e under a prior of standard deviation ``prior`` on each motor."""
-    count = len(information.vector)
-    covariance = np.linalg.inv(information.matrix + np.eye(count) / prior**2)
-    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    """Standard deviation (m,) of each e given the others, under a prior of standard deviation ``prior``.
+
+    Given the others: at constant u the wrench has four axes for m motors, so that without the sparsity no motor
+    could be known alone.
+    """
+    return 1.0 / np.sqrt(np.maximum(np.diagonal(information.matrix), 0.0) + 1.0 / prior**2)
 
 
 def shape(effectiveness: np.ndarray, full_at: float, none_below: float) -> np.ndarray:

@@ -48,10 +48,11 @@ class CompanionPort:
         self.refused[reason] += 1
         return reason
 
-    def _check(self, sequence: int, last: int, active: bool, sample_s: float, now_s: float) -> str | None:
+    def _check(self, held: _Held | None, sequence: int, last: int, sample_s: float, now_s: float) -> str | None:
         if not -0.05 <= now_s - sample_s <= STALE_AFTER_S:
             return self._refuse("stale")
-        if active and not 0 < (sequence - last) % 2**32 < 2**31:
+        # With nothing in force any sequence may begin: a companion that was restarted counts from the start.
+        if held is not None and now_s <= held.expires_s and not 0 < (sequence - last) % 2**32 < 2**31:
             return self._refuse("replay")
         return None
 
@@ -70,7 +71,7 @@ class CompanionPort:
 
         ``valid`` False releases the matrix held at once.
         """
-        refusal = self._check(sequence, self._last_matrix, self._matrix is not None, sample_s, now_s)
+        refusal = self._check(self._matrix, sequence, self._last_matrix, sample_s, now_s)
         if refusal:
             return refusal
         if not valid:
@@ -91,7 +92,7 @@ class CompanionPort:
         self, outputs: np.ndarray, *, sequence: int, sample_s: float, timeout_s: float, now_s: float, armed: bool
     ) -> str | None:
         """Take motor outputs (m,) in 0..1, NaN: leave that motor to the mixer. Returns the reason of a refusal."""
-        refusal = self._check(sequence, self._last_override, self._override is not None, sample_s, now_s)
+        refusal = self._check(self._override, sequence, self._last_override, sample_s, now_s)
         if refusal:
             return refusal
         if not armed:
