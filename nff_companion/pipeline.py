@@ -45,6 +45,7 @@ class PipelineOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
     resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
     resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
+    catch_s: float = 2.0  # after a declaration roll and pitch have more right to torque than yaw
     gap_max_s: float = 0.1  # without a sample: the estimate starts anew
     recover_s: float = 0.3  # of good samples, to act again
 
@@ -90,6 +91,8 @@ class Pipeline:
         self._plan: Plan | None = None
         self._planned_for = np.ones(m)
         self._planned_s = -np.inf
+        self._caught_s = -np.inf
+        self._catching = False
         self._low_since_s = np.full(m, np.nan)
         self._untouched = True  # all motors healthy, the autopilot's own allocation in force
         self._refusal = ""
@@ -234,7 +237,12 @@ class Pipeline:
         target[estimate.failed] = 0.0
         change = float(np.abs(target - self._planned_for).max())
         declared = bool(estimate.events)
-        if not declared and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
+        if declared:
+            self._caught_s = time_s + self.options.catch_s
+        catching = time_s < self._caught_s
+        caught = self._catching and not catching
+        self._catching = catching
+        if not (declared or caught) and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
             self._untouched = self._untouched and change == 0.0
             return
         self._planned_s, self._planned_for = time_s, target
@@ -242,7 +250,7 @@ class Pipeline:
             self._plan, self._refusal = None, ""
             return
         self._untouched = False
-        plan = make_plan(self._allocate, self.vehicle.effectiveness, target, self.vehicle.hover)
+        plan = make_plan(self._allocate, self.vehicle.effectiveness, target, self.vehicle.hover, catching=catching)
         if isinstance(plan, Refusal):
             self.rejected += 1
             self._refusal = f"no new matrix: {plan.reason}"

@@ -11,8 +11,10 @@ from nff_companion.allocation.verify import fault_of
 from nff_companion.errors import AllocationInfeasible, SolverError
 from nff_companion.vehicle import YAW
 
-# Below this share of full torque left for roll or pitch at hover, yaw is given up for them.
+# Below this share of full torque left for roll or pitch at hover, yaw is given up for them; while the vehicle is
+# still being caught after a failure, already from the larger one.
 ATTITUDE_AUTHORITY_MIN = 0.05
+CATCH_AUTHORITY_MIN = 0.15
 _AUTHORITY_FLOOR = 0.01  # below this nothing is left to fly with, yaw given up or not
 
 
@@ -33,9 +35,13 @@ class Refusal:
     reason: str
 
 
-def make_plan(allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarray, hover: float) -> Plan | Refusal:
+def make_plan(
+    allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarray, hover: float, *, catching: bool = False
+) -> Plan | Refusal:
     """Matrix for motor ``effectiveness`` (m,): all axes when roll and pitch keep authority, else without yaw."""
     reason = ""
+    enough = CATCH_AUTHORITY_MIN if catching else ATTITUDE_AUTHORITY_MIN
+    spare: Plan | None = None
     for released in ((), (YAW,)):
         try:
             problem = problem_for(nominal, effectiveness, hover, released)
@@ -47,11 +53,14 @@ def make_plan(allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarra
         if reason:
             continue
         left = authority(matrix, hover)
-        if left[: YAW - 1].min() < (_AUTHORITY_FLOOR if released else ATTITUDE_AUTHORITY_MIN):
-            reason = f"roll/pitch authority at hover only {left[: YAW - 1].min():.2f}"
-            continue
+        least = float(left[: YAW - 1].min())
         demand = np.zeros(nominal.shape[0])
         demand[0] = hover
         given = problem.effectiveness @ np.clip(matrix @ demand, 0.0, 1.0)
-        return Plan(matrix=matrix, released=released, authority=left, unallocated=demand - given)
-    return Refusal(reason=reason)
+        plan = Plan(matrix=matrix, released=released, authority=left, unallocated=demand - given)
+        if least >= (_AUTHORITY_FLOOR if released else enough):
+            return plan
+        if least >= ATTITUDE_AUTHORITY_MIN:
+            spare = plan  # good enough should giving up yaw not work
+        reason = f"roll/pitch authority at hover only {least:.2f}"
+    return spare or Refusal(reason=reason)
