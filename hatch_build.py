@@ -11,6 +11,7 @@ class DialectHook(BuildHookInterface):
     """Generates ``nff_companion/link/dialect/nff.py``."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Generate before anything is packed."""
         sys.path.insert(0, str(Path(self.root) / "mavlink_dialect"))
         import generate
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from nff_companion import vehicle as vehicle_model
 from nff_companion.autopilots.nff_dialect import NffDialectAdapter
-from nff_companion.config import Config, MODES, default_status_socket
+from nff_companion.config import MODES, Config, default_status_socket
 from nff_companion.errors import EndpointError, NffError
 from nff_companion.link.codec import Codec, Message, dialect, has_fast_crc
 from nff_companion.link.endpoint import Endpoint, open_endpoint
@@ -33,9 +33,7 @@ _STREAM_REQUEST_S = 1.0
 class Daemon:
     """Owns the sockets and the clock; all thinking is in the pipeline."""
 
-    def __init__(
-        self, config: Config, notifier: Notifier, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, config: Config, notifier: Notifier, clock: Callable[[], float] = time.monotonic) -> None:
         self._config, self._notifier, self._clock = config, notifier, clock
         self.vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
         self.pipeline = Pipeline(self.vehicle, config.link.rate_hz, config.pipeline_options())
@@ -65,7 +63,9 @@ class Daemon:
         gc.collect()
         gc.freeze()
         self._notifier.ready()
-        log.info("running: %s on %s, mode %s", self.vehicle.name, self._config.link.endpoint, self._config.companion.mode)
+        log.info(
+            "running: %s on %s, mode %s", self.vehicle.name, self._config.link.endpoint, self._config.companion.mode
+        )
         try:
             while not self._stopping:
                 self.turn(_IDLE_S)

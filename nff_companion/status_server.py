@@ -28,7 +28,9 @@ class StatusServer:
             self._socket.bind(path)
         except OSError as error:
             self._socket.close()
-            raise EndpointError(f"status socket {path} cannot be made: {error.strerror}; set companion.status_socket") from error
+            raise EndpointError(
+                f"status socket {path} cannot be made: {error.strerror}; set companion.status_socket"
+            ) from error
         os.chmod(path, 0o660)
         self._socket.listen(8)
         self._socket.setblocking(False)

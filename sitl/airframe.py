@@ -41,10 +41,12 @@ class PlantParameters:
 
     @property
     def vehicles(self) -> int:
+        """N."""
         return int(self.mass_kg.shape[0])
 
     @property
     def motors(self) -> int:
+        """m."""
         return int(self.position_m.shape[0])
 
     def perturbed(self, *, fraction: float, generators: list[np.random.Generator]) -> PlantParameters:

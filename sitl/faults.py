@@ -44,10 +44,12 @@ class FaultSchedule:
         self._next_change_s = -math.inf
 
     def add(self, fault: Fault) -> None:
+        """One more fault."""
         self.faults.append(fault)
         self._next_change_s = -math.inf
 
     def clear(self, vehicle: int, motor: int) -> None:
+        """The motor works again."""
         self.faults = [f for f in self.faults if not (f.vehicle == vehicle and f.motor == motor)]
         self._next_change_s = -math.inf
 

@@ -64,10 +64,12 @@ class Fleet:
 
     @property
     def vehicles(self) -> int:
+        """N."""
         return self.parameters.vehicles
 
     @property
     def time_s(self) -> float:
+        """Virtual time since the start."""
         return self.cycle / AUTOPILOT_RATE_HZ
 
     def step(self) -> None:

@@ -19,6 +19,7 @@ class NormalBlocks:
         self._index = 0
 
     def next(self) -> np.ndarray:
+        """Draws (N, width) of the next step."""
         if self._index >= len(self._buffer):
             self._buffer = np.stack([g.standard_normal((self._block, self._width)) for g in self._generators], axis=1)
             self._index = 0

@@ -6,6 +6,7 @@ import numpy as np
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternion product a b."""
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
     return np.stack(
@@ -23,10 +24,12 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:
+    """Inverse of a unit quaternion."""
     return q * _CONJUGATE
 
 
 def normalise(q: np.ndarray) -> np.ndarray:
+    """To unit length."""
     return q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None]
 
 
@@ -47,6 +50,7 @@ def to_matrix(q: np.ndarray) -> np.ndarray:
 
 
 def from_rotation_vector(v: np.ndarray) -> np.ndarray:
+    """Quaternion of a rotation vector (..., 3), rad."""
     angle = np.sqrt(np.einsum("...i,...i->...", v, v))
     half = 0.5 * angle
     scale = np.where(angle > 1e-9, np.sin(half) / np.where(angle > 1e-9, angle, 1.0), 0.5)
@@ -54,6 +58,7 @@ def from_rotation_vector(v: np.ndarray) -> np.ndarray:
 
 
 def from_yaw(yaw_rad: np.ndarray) -> np.ndarray:
+    """Level, heading ``yaw_rad``."""
     out = np.zeros((*np.shape(yaw_rad), 4))
     out[..., 0] = np.cos(0.5 * yaw_rad)
     out[..., 3] = np.sin(0.5 * yaw_rad)
@@ -61,6 +66,7 @@ def from_yaw(yaw_rad: np.ndarray) -> np.ndarray:
 
 
 def yaw_of(q: np.ndarray) -> np.ndarray:
+    """Heading in rad."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -75,10 +81,6 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def swing_and_twist(q: np.ndarray) -> np.ndarray:

@@ -41,6 +41,7 @@ class LowPass:
         self._d2: np.ndarray | float = 0.0
 
     def step(self, value: np.ndarray) -> np.ndarray:
+        """One sample (N, width)."""
         if not self._active:
             return value
         d0 = value - self._a1 * self._d1 - self._a2 * self._d2

@@ -153,8 +153,9 @@ class Server:
             handler(client, message)
 
     def _command(self, client: _Client, message: Message) -> None:
+        extra: list[Message] = []
         if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
-            result, extra = self._set_interval(client, message), []
+            result = self._set_interval(client, message)
         else:
             result, extra = self._commander.command(message)
         source = (message.get_srcSystem(), message.get_srcComponent())
@@ -219,9 +220,10 @@ class Server:
 
     # -- the companion's commands -------------------------------------------------------------------------------
 
-    def _times(self, message: Message) -> dict[str, float]:
+    def _sample_s(self, message: Message) -> float:
+        """Time of the sample that a command answers, on the fleet's clock."""
         offset = self.telemetry.time_usec - 1e6 * self.fleet.time_s
-        return {"sample_s": 1e-6 * (message.sample_usec - offset), "now_s": self.fleet.time_s}
+        return float(1e-6 * (message.sample_usec - offset))
 
     def _matrix(self, client: _Client, message: Message) -> None:
         port = self.fleet.autopilot.ports[0]
@@ -233,7 +235,8 @@ class Server:
             sequence=message.sequence,
             timeout_s=1e-3 * message.timeout_ms,
             valid=bool(message.valid),
-            **self._times(message),
+            sample_s=self._sample_s(message),
+            now_s=self.fleet.time_s,
         )
         self.fleet.autopilot.port_changed()
 
@@ -244,7 +247,8 @@ class Server:
             sequence=message.sequence,
             timeout_s=1e-3 * message.timeout_ms,
             armed=bool(self.fleet.autopilot.armed[0]),
-            **self._times(message),
+            sample_s=self._sample_s(message),
+            now_s=self.fleet.time_s,
         )
         self.fleet.autopilot.port_changed()
 
@@ -254,7 +258,9 @@ class Server:
         port = self.fleet.autopilot.ports[0]
         if message.failed_mask >> motors:
             failed = np.zeros(0, bool)  # names motors that are not there: refused as a wrong dimension
-        port.receive_declaration(failed, sequence=message.sequence, **self._times(message))
+        port.receive_declaration(
+            failed, sequence=message.sequence, sample_s=self._sample_s(message), now_s=self.fleet.time_s
+        )
         self.fleet.autopilot.port_changed()
         maker = self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]
         self._reply(client, maker())

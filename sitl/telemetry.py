@@ -105,9 +105,7 @@ class Telemetry:
 
     def _battery(self) -> Message:
         volts = round(1e3 * 22.2 * float(self._fleet.state.battery[0]))
-        return dialect.MAVLink_battery_status_message(
-            0, 0, 0, 2500, [volts] + [65535] * 9, -1, -1, -1, 80
-        )
+        return dialect.MAVLink_battery_status_message(0, 0, 0, 2500, [volts] + [65535] * 9, -1, -1, -1, 80)
 
     def _extended(self) -> Message:
         flying = self._autopilot.mode[0] != Mode.GROUND

@@ -9,7 +9,18 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PURE = ("estimation", "allocation", "control")
-IMPURE = {"socket", "select", "time", "os", "asyncio", "threading", "subprocess", "multiprocessing", "pymavlink", "serial"}
+IMPURE = {
+    "socket",
+    "select",
+    "time",
+    "os",
+    "asyncio",
+    "threading",
+    "subprocess",
+    "multiprocessing",
+    "pymavlink",
+    "serial",
+}
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.
 SITL_MAY_IMPORT = ("nff_companion.link", "nff_companion.errors")
 

@@ -80,7 +80,10 @@ def test_the_unit_is_what_systemd_accepts(tmp_path: Path) -> None:
     local = re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", unit, flags=re.MULTILINE)
     (tmp_path / "nff-companion.service").write_text(local, encoding="utf-8")
     result = subprocess.run(
-        ["systemd-analyze", "verify", str(tmp_path / "nff-companion.service")], capture_output=True, text=True, check=False
+        ["systemd-analyze", "verify", str(tmp_path / "nff-companion.service")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert result.returncode == 0, result.stderr
 
@@ -227,7 +230,9 @@ def test_status_and_lift_commands_print_one_json_document(tmp_path: Path) -> Non
             assert result.returncode == code, result.stderr
             document = json.loads(result.stdout)
             assert ("error" in document) == bool(code)
-    gone = subprocess.run([*nff, "status", "--once", "--socket", str(tmp_path / "s")], capture_output=True, text=True, check=False)
+    gone = subprocess.run(
+        [*nff, "status", "--once", "--socket", str(tmp_path / "s")], capture_output=True, text=True, check=False
+    )
     assert gone.returncode == 2
     assert "no daemon answers" in gone.stderr
 
@@ -236,7 +241,9 @@ def test_an_airframe_that_does_not_fit_the_vehicle_only_observes(tmp_path: Path)
     """The daemon is told h250 (four motors), the autopilot drives eight: telemetry still has values for four."""
     model = vehicle.load("h250")
     assert model.motors == 4
-    text = config_text(endpoint="udpin:127.0.0.1:1", airframe="no-such", mode="observe", rate_hz=200, socket=tmp_path / "s")
+    text = config_text(
+        endpoint="udpin:127.0.0.1:1", airframe="no-such", mode="observe", rate_hz=200, socket=tmp_path / "s"
+    )
     (tmp_path / "c.toml").write_text(text)
     with DaemonProcess(tmp_path / "c.toml") as daemon:
         assert daemon.process.wait(20.0) == 1, "an unknown airframe ends the start with a message, not a trace"

@@ -84,7 +84,9 @@ def test_sparse_step_agrees_with_osqp(octo: Vehicle, rng: np.random.Generator) -
     np.testing.assert_allclose(sparse.solve(state, 1.0), peer.solve().x, atol=1e-4)
 
 
-def test_the_other_sign_of_gamma_would_drive_healthy_motors_to_minus_one(octo: Vehicle, rng: np.random.Generator) -> None:
+def test_the_other_sign_of_gamma_would_drive_healthy_motors_to_minus_one(
+    octo: Vehicle, rng: np.random.Generator
+) -> None:
     b, u, y = data(rng, octo, 2, np.zeros(8))
     state = sparse.update(sparse.Information.empty(8), b * u[0], y[0], np.ones(4), DT, 0.0)
     assert np.abs(sparse.solve(state, 50.0)).max() < 1e-12
@@ -99,7 +101,9 @@ def test_an_undriven_motor_keeps_no_opinion(octo: Vehicle) -> None:
     assert sparse.solve(state, 1.0)[3] == 0.0
 
 
-@pytest.mark.parametrize(("eta", "shaped"), [(1.0, 1.0), (0.75, 1.0), (0.525, 0.5), (0.30, 0.0), (0.29, 0.0), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("eta", "shaped"), [(1.0, 1.0), (0.75, 1.0), (0.525, 0.5), (0.30, 0.0), (0.29, 0.0), (0.0, 0.0)]
+)
 def test_shaping_is_equation_24(eta: float, shaped: float) -> None:
     assert sparse.shape(np.array([eta]), 0.75, 0.30)[0] == pytest.approx(shaped)
 

@@ -103,7 +103,9 @@ class TestStockArduCopter:
         assert self.faults("healthy.tlog") == []
 
 
-def turned(vehicle_model: vehicle.Vehicle, rows: list[tuple[float, Sample]], quarters: int) -> list[tuple[float, Sample]]:
+def turned(
+    vehicle_model: vehicle.Vehicle, rows: list[tuple[float, Sample]], quarters: int
+) -> list[tuple[float, Sample]]:
     """The same flight seen in a body frame turned by quarter turns, rotors renumbered by as many places."""
     c, s = round(np.cos(quarters * np.pi / 2)), round(np.sin(quarters * np.pi / 2))
     spin = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], float)

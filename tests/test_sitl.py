@@ -234,7 +234,7 @@ def singles() -> Fleet:
     faults = [Fault(vehicle=k, motor=motor, start_s=5.0) for k, (motor, _) in enumerate(sets)]
     fleet = make(STOCK, vehicles=24, seeds=[s for _, s in sets], height_m=10.0, faults=faults)
     fleet.tilt, fleet.off = np.zeros(24), np.zeros(24)  # type: ignore[attr-defined]
-    for _ in range(int(400 * 25)):
+    for _ in range(400 * 25):
         fleet.step()
         if fleet.time_s > 5.0:
             tilt = np.degrees(rotation.tilt_of(fleet.state.quaternion))
@@ -252,9 +252,7 @@ def test_single_failures_end_as_on_stock_arducopter(singles: Fleet) -> None:
 def test_pairs_end_as_on_stock_arducopter() -> None:
     sets = list(itertools.combinations(range(1, 9), 2))
     faults = [Fault(vehicle=k, motor=m, start_s=5.0) for k, pair in enumerate(sets) for m in pair]
-    fleet = make(
-        STOCK, vehicles=28, seeds=[1] * 28, height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.3, faults=faults
-    )
+    fleet = make(STOCK, vehicles=28, seeds=[1] * 28, height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.3, faults=faults)
     run(fleet, 25.0)
     survived = {pair for pair, crashed in zip(sets, fleet.state.crashed, strict=True) if not crashed}
     assert 28 - len(survived ^ STOCK_SURVIVES) >= 26

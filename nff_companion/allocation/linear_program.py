@@ -54,7 +54,9 @@ class LinearSolver:
             return np.array(self._highs.getSolution().col_value)
         self._shape = None
         if status in (highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible):
-            raise AllocationInfeasible("the motors left cannot balance weight and torques at hover: give up yaw, or land")
+            raise AllocationInfeasible(
+                "the motors left cannot balance weight and torques at hover: give up yaw, or land"
+            )
         raise SolverError(f"linear program: HiGHS ended with {status}; the last good matrix stays in force")
 
 

@@ -63,9 +63,7 @@ def sitl(
         height_m=height,
     )
     fleet = Fleet(plant_airframe.load(vehicle.path_of(airframe)), options, faults)
-    link = LinkOptions(
-        latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption
-    )
+    link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
     server = Server(fleet, urls, link=link, seed=seed)
     console.print(f"{airframe} on {', '.join(urls)}", highlight=False)
     try:

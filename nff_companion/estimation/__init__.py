@@ -1,0 +1,1 @@
+"""Residual, sparse effectiveness, decisions. Pure: numpy in, numpy out, state passed and returned."""

@@ -161,7 +161,8 @@ class Decision:
             return (state if state.quiet else DecisionState.start(len(effectiveness))), []
         events: list[Event] = []
         failed = state.failed
-        candidate, since = (), time_s
+        candidate: tuple[int, ...] = ()
+        since = time_s
         if best is not None and self._convincing(best):
             candidate = best.motors
             since = state.since_s if candidate == state.candidate else time_s

@@ -37,9 +37,7 @@ class SideDragState:
     variance: float = _SHARE_PRIOR_DEVIATION**2
 
 
-def learn_side_drag(
-    state: SideDragState, slope: float, residual: float, variance: float, dt_s: float
-) -> SideDragState:
+def learn_side_drag(state: SideDragState, slope: float, residual: float, variance: float, dt_s: float) -> SideDragState:
     """One Kalman step (THEORY 4.3, Joseph form in one dimension) on the yaw residual.
 
     ``slope``: yaw acceleration for share 1 at the present thrusts; ``residual``: yaw residual left with the present
@@ -84,9 +82,7 @@ class Disturbance:
         """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
         return 1.0 / (self.variance(state) * CORRELATION_S)
 
-    def step(
-        self, state: DisturbanceState, residual: np.ndarray, dt_s: float, rate: float = 1.0
-    ) -> DisturbanceState:
+    def step(self, state: DisturbanceState, residual: np.ndarray, dt_s: float, rate: float = 1.0) -> DisturbanceState:
         """One sample of the raw residual y (n,); ``rate`` scales the speed of learning, 0: frozen."""
         if rate <= 0.0:
             return state

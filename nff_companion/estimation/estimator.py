@@ -171,9 +171,7 @@ class Estimator:
             effectiveness,
             deviation,
         )
-        return new, Estimate(
-            effectiveness, deviation, decision.failed, residual, disturbance.mean, best, events
-        )
+        return new, Estimate(effectiveness, deviation, decision.failed, residual, disturbance.mean, best, events)
 
     def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""

@@ -45,9 +45,7 @@ class LowPass:
         return np.stack((new, first)), self.b * (new + 2.0 * first + second)
 
 
-def loss_response(
-    dt_s: float, samples: int, lag_s: float, low_pass: LowPass | None, smoothing_s: float
-) -> np.ndarray:
+def loss_response(dt_s: float, samples: int, lag_s: float, low_pass: LowPass | None, smoothing_s: float) -> np.ndarray:
     """How a sudden loss shows in the residual: response (samples,) of lag, low-pass, mean of two samples and
     smoothing to a unit step at sample 0; goes from 0 to 1."""
     share, smooth = lag_share(dt_s, lag_s), lag_share(dt_s, smoothing_s)

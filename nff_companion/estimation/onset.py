@@ -94,9 +94,7 @@ class OnsetBank:
         np.multiply(residual, residual, out=state.squared[-1])
         return state
 
-    def sums(
-        self, state: OnsetState, effectiveness: np.ndarray, variance: np.ndarray, yaw_error: float
-    ) -> OnsetSums:
+    def sums(self, state: OnsetState, effectiveness: np.ndarray, variance: np.ndarray, yaw_error: float) -> OnsetSums:
         """Statistics of all windows; ``effectiveness`` (n, m) in accelerations, ``variance`` (n,) of y in steady
         flight; ``yaw_error``: yaw torque not modelled, as a share of roll and pitch torque."""
         error = self._error.copy()

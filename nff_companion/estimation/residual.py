@@ -11,7 +11,8 @@ y = B0 diag(w) (eta - 1) with w the thrust fractions after the chain.
 
 Rotors in wind drag sideways. The accelerometer measures the sum of it; each rotor's share acts at its hub, so a
 rotor that is lost, or pushes more than the others, turns the vehicle about its yaw axis. In 4 m/s that is more than
-its own drag torque: the yaw row of B0 follows the measured lateral specific force; which share of it acts at the rotors is learnt.
+its own drag torque: the yaw row of B0 follows the measured lateral specific force; which share of it acts at the
+rotors is learnt (disturbance.py).
 """
 
 from __future__ import annotations
@@ -72,7 +73,17 @@ class ResidualFilter:
             sensor[:, :1] = self._accelerometer_low_pass.settled(np.array([up]))
         measured = np.array([up, 0.0, 0.0, 0.0])
         return ResidualState(
-            gyro, up, command, command, low_pass, sensor, command, command.copy(), measured, specific_force[:2], self.dt_s
+            gyro,
+            up,
+            command,
+            command,
+            low_pass,
+            sensor,
+            command,
+            command.copy(),
+            measured,
+            specific_force[:2],
+            self.dt_s,
         )
 
     def side_drag(self, state: ResidualState) -> np.ndarray:

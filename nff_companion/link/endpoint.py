@@ -53,7 +53,9 @@ def parse(url: str) -> Url:
         text = f"serial:{text}"
     match = re.fullmatch(r"([a-z]+):(?://)?(.+):(\d+)", text)
     if match is None:
-        raise ConfigError(f"endpoint {url!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}")
+        raise ConfigError(
+            f"endpoint {url!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}"
+        )
     kind, host, number = match.group(1), match.group(2), int(match.group(3))
     kind = {"tcpout": "tcp", "udp": "udpin"}.get(kind, kind)
     if kind not in KINDS:

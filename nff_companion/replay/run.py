@@ -34,7 +34,9 @@ def read(path: Path, vehicle: Vehicle) -> tuple[float, list[tuple[float, Sample]
     else:
         raise LogError(f"{path}: suffix {suffix!r} is unknown; .ulg and .tlog can be read")
     if len(rows) < _SAMPLES_MIN:
-        raise LogError(f"{path} has {len(rows)} inertial samples; {_SAMPLES_MIN} are needed (HIGHRES_IMU, sensor_combined)")
+        raise LogError(
+            f"{path} has {len(rows)} inertial samples; {_SAMPLES_MIN} are needed (HIGHRES_IMU, sensor_combined)"
+        )
     return first, rows
 
 

@@ -1,0 +1,1 @@
+"""Flights of companion and emulated vehicle together: surveys, demonstration, benchmarks, peers."""

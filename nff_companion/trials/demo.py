@@ -193,8 +193,8 @@ def describe(options: DemoOptions, baseline: Trace, companion: Trace) -> dict[st
                 "effectiveness": None if found is None else round(found[1], 3),
             }
         )
-    failed_at = dict(options.failures)
-    false_alarms = sum(1 for t, motor, _ in declared if motor not in failed_at or t < failed_at[motor])
+    failures = dict(options.failures)
+    false_alarms = sum(1 for t, motor, _ in declared if motor not in failures or t < failures[motor])
     return {
         "options": {
             "airframe": options.airframe,

@@ -1,7 +1,7 @@
 """The peer: an interacting multiple model filter (filterpy) over "healthy" and each single motor failed.
 
-Each model is a Kalman filter of the slow disturbance d (n,) with measurement y = d + B0 diag(w) (eta_j - 1) + noise; the
-models differ in the motor that they hold dead. Fed with the same filtered accelerations and thrusts as ours, on the
+Each model is a Kalman filter of the slow disturbance d (n,), measurement y = d + B0 diag(w) (eta_j - 1) + noise; they
+differ in the motor that they hold dead. Fed with the same filtered accelerations and thrusts as ours, on the
 same flights. After a declaration the models are built anew around the motors left.
 """
 
@@ -53,12 +53,12 @@ class ImmEstimator:
         self._noise = np.diag(Disturbance(vehicle).floor ** 2) * (CORRELATION_S / dt_s)
         self._wander = np.diag(Disturbance(vehicle).floor ** 2) * (_WANDER_PER_S**2 * dt_s)
 
-        class Hypothesis(KalmanFilter):  # type: ignore[misc]
+        class Hypothesis(KalmanFilter):
             """Kalman filter whose measurement has a known part."""
 
             known = np.zeros((vehicle.axes, 1))
 
-            def update(self, z: Any, R: Any = None, H: Any = None) -> None:  # noqa: N803 (filterpy's names)
+            def update(self, z: Any, R: Any = None, H: Any = None) -> None:
                 super().update(None if z is None else z - self.known, R, H)
 
         self._hypothesis = Hypothesis

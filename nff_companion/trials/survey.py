@@ -7,7 +7,7 @@ import math
 import multiprocessing
 import os
 import statistics
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -69,7 +69,7 @@ def run_healthy(options: SurveyOptions, minutes: float, workers: int | None = No
     """Fly ``minutes`` without a failure, split over vehicles with different seeds."""
     count = max(1, round(minutes * 60.0 / healthy.DURATION_S))
     results = _spread(_fly_healthy, options, [((), seed) for seed in range(1, count + 1)], workers)
-    document = {"options": _described(options), "flights": results, "summary": summary(results)}
+    document: dict[str, Any] = {"options": _described(options), "flights": results, "summary": summary(results)}
     document["summary"]["minutes"] = count * healthy.DURATION_S / 60.0
     return document
 
@@ -235,8 +235,3 @@ def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
         "max_tilt_median_deg": round(statistics.median(tilts), 2) if tilts else None,
         "baseline_max_tilt_median_deg": round(statistics.median(base), 2) if base else None,
     }
-
-
-def with_seed_count(options: SurveyOptions, seeds: int) -> SurveyOptions:
-    """The same survey with another number of seeds."""
-    return replace(options, seeds=seeds)

@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
 from nff_companion import vehicle as vehicle_model
+from nff_companion.estimation.decision import Event
 from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
 from nff_companion.telemetry import Sample
 from sitl import rotation
@@ -22,23 +24,36 @@ OVERRIDE_TIMEOUT_S = 0.1
 MATRIX_INTERVAL_S = 0.05
 
 
+Item = TypeVar("Item")
+
+
 @dataclass(slots=True)
-class Channel:
+class Channel(Generic[Item]):
     """Messages under way, oldest first."""
 
     delay_s: float
-    queue: deque[tuple[float, object]] = field(default_factory=deque)
+    queue: deque[tuple[float, Item]] = field(default_factory=deque)
 
-    def send(self, now_s: float, message: object) -> None:
+    def send(self, now_s: float, message: Item) -> None:
         """Put a message on the way."""
         self.queue.append((now_s + self.delay_s, message))
 
-    def receive(self, now_s: float) -> list[object]:
+    def receive(self, now_s: float) -> list[Item]:
         """Messages that have arrived."""
-        out = []
+        out: list[Item] = []
         while self.queue and self.queue[0][0] <= now_s + 1e-9:
             out.append(self.queue.popleft()[1])
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command on its way to the autopilot."""
+
+    kind: Literal["declaration", "matrix", "override"]
+    sequence: int
+    sample_s: float
+    value: np.ndarray
 
 
 class Companion:
@@ -47,9 +62,10 @@ class Companion:
     def __init__(self, index: int, pipeline: Pipeline, link_delay_s: float) -> None:
         self.index, self.pipeline = index, pipeline
         # The delay is for one direction each way, as a serial link has it.
-        self.down, self.up = Channel(link_delay_s), Channel(link_delay_s)
+        self.down: Channel[Sample] = Channel(link_delay_s)
+        self.up: Channel[Command] = Channel(link_delay_s)
         self.outputs: Output | None = None
-        self.events: list[tuple[float, object]] = []
+        self.events: list[tuple[float, Event]] = []
         self._sequence = 0
         self._matrix_sent_s = -np.inf
         self._declared = np.zeros(pipeline.vehicle.motors, bool)
@@ -57,7 +73,6 @@ class Companion:
     def think(self, now_s: float) -> None:
         """Process the samples that have arrived and send what follows from them."""
         for message in self.down.receive(now_s):
-            assert isinstance(message, Sample)
             output = self.pipeline.step(message, self.pipeline.respond(message))
             self.outputs = output
             self.events += [(now_s, event) for event in output.events]
@@ -67,12 +82,12 @@ class Companion:
             changed = bool((output.failed != self._declared).any())
             if changed:
                 self._declared = output.failed.copy()
-                self.up.send(now_s, ("declaration", self._sequence, output.time_s, output.failed.copy()))
+                self.up.send(now_s, Command("declaration", self._sequence, output.time_s, output.failed.copy()))
             if output.plan is not None and (changed or now_s - self._matrix_sent_s >= MATRIX_INTERVAL_S):
                 self._matrix_sent_s = now_s
-                self.up.send(now_s, ("matrix", self._sequence, output.time_s, output.plan.matrix))
+                self.up.send(now_s, Command("matrix", self._sequence, output.time_s, output.plan.matrix))
             if output.override is not None:
-                self.up.send(now_s, ("override", self._sequence, output.time_s, output.override))
+                self.up.send(now_s, Command("override", self._sequence, output.time_s, output.override))
 
 
 class VirtualFlight:
@@ -94,8 +109,7 @@ class VirtualFlight:
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
         rate = AUTOPILOT_RATE_HZ / self._every
         self.companions = [
-            Companion(index, make_pipeline(model, rate, options), link_delay_s)
-            for index, options in companions.items()
+            Companion(index, make_pipeline(model, rate, options), link_delay_s) for index, options in companions.items()
         ]
 
     def _sample(self, index: int) -> Sample:
@@ -133,15 +147,21 @@ class VirtualFlight:
         for companion in self.companions:
             companion.think(fleet.time_s)
 
-    def _deliver(self, index: int, message: object, now_s: float) -> None:
-        kind, sequence, sample_s, value = message  # type: ignore[misc]
+    def _deliver(self, index: int, command: Command, now_s: float) -> None:
         autopilot = self.fleet.autopilot
         port = autopilot.ports[index]
-        common = {"sequence": sequence, "sample_s": sample_s, "now_s": now_s}
-        if kind == "declaration":
-            port.receive_declaration(value, **common)
-        elif kind == "matrix":
-            port.receive_matrix(value, timeout_s=MATRIX_TIMEOUT_S, **common)
+        sequence, sample_s, value = command.sequence, command.sample_s, command.value
+        if command.kind == "declaration":
+            port.receive_declaration(value, sequence=sequence, sample_s=sample_s, now_s=now_s)
+        elif command.kind == "matrix":
+            port.receive_matrix(value, sequence=sequence, sample_s=sample_s, now_s=now_s, timeout_s=MATRIX_TIMEOUT_S)
         else:
-            port.receive_override(value, timeout_s=OVERRIDE_TIMEOUT_S, armed=bool(autopilot.armed[index]), **common)
+            port.receive_override(
+                value,
+                sequence=sequence,
+                sample_s=sample_s,
+                now_s=now_s,
+                timeout_s=OVERRIDE_TIMEOUT_S,
+                armed=bool(autopilot.armed[index]),
+            )
         autopilot.port_changed()

@@ -39,9 +39,7 @@ class AttitudeControl:
             self.target_rate[mask] = 0.0
             self.rates.reset(mask)
 
-    def step(
-        self, desired: np.ndarray, quaternion: np.ndarray, gyro: np.ndarray, limited: np.ndarray
-    ) -> np.ndarray:
+    def step(self, desired: np.ndarray, quaternion: np.ndarray, gyro: np.ndarray, limited: np.ndarray) -> np.ndarray:
         """``desired`` (N, 4) attitude; ``limited`` (N, 3) from the mixer. Returns demand (N, 3) in -1..1."""
         wanted = rotation.swing_and_twist(rotation.multiply(rotation.conjugate(self.target), desired))
         rate = np.empty_like(wanted)
@@ -67,9 +65,7 @@ class AttitudeControl:
             error[:, 2] += excess
         demand = np.empty_like(error)
         for axis in range(3):
-            demand[:, axis] = square_root_controller(
-                error[:, axis], _ANGLE_P, float(_CORRECTION_MAX[axis]), self._dt
-            )
+            demand[:, axis] = square_root_controller(error[:, axis], _ANGLE_P, float(_CORRECTION_MAX[axis]), self._dt)
         forward = np.einsum("nij,nj->ni", rotation.to_matrix(relative), self.target_rate)
         tilt_error = np.hypot(error[:, 0], error[:, 1])
         share = np.clip(2.0 - tilt_error / _THRUST_ERROR, 0.0, 1.0)[:, None]

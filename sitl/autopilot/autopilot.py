@@ -67,10 +67,12 @@ class Autopilot:
         self._landed_s = np.zeros(n)
 
     def arm(self, vehicle: int) -> None:
+        """Motors idle, on the ground."""
         self.armed[vehicle] = True
         self.mode[vehicle] = Mode.GROUND
 
     def disarm(self, vehicle: int) -> None:
+        """Motors off; the companion's commands are forgotten."""
         self.armed[vehicle] = False
         self.mode[vehicle] = Mode.GROUND
         self.ports[vehicle].disarmed()
@@ -96,6 +98,7 @@ class Autopilot:
         self.attitude.reset(mask, measured.quaternion)
 
     def land(self, vehicle: int) -> None:
+        """Come down here; disarms on the ground."""
         self.mode[vehicle] = Mode.LAND
         self.position.goal[vehicle] = self.position.path[vehicle]
         self.position.goal_velocity[vehicle] = np.nan

@@ -7,7 +7,7 @@ that sends nonsense must not disturb the loop that flies.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,24 +25,18 @@ class _Held:
     expires_s: float
 
 
-@dataclass(slots=True)
 class CompanionPort:
     """One vehicle's port. Times in s of the autopilot's clock; motors in arrays from index 0."""
 
-    motors: int
-    refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(REFUSALS, 0))
-    accepted: int = 0
-    failed: np.ndarray = field(default=None)  # type: ignore[assignment]
-    declaration_sequence: int = 0
-    override_echo: int = 0
-    matrix_echo: int = 0
-    _matrix: _Held | None = None
-    _override: _Held | None = None
-    _last_override: int = -1
-    _last_matrix: int = -1
-
-    def __post_init__(self) -> None:
-        self.failed = np.zeros(self.motors, bool)
+    def __init__(self, motors: int) -> None:
+        self.motors = motors
+        self.refused = dict.fromkeys(REFUSALS, 0)
+        self.accepted = 0
+        self.failed = np.zeros(motors, bool)
+        self.declaration_sequence = self.override_echo = self.matrix_echo = 0
+        self._matrix: _Held | None = None
+        self._override: _Held | None = None
+        self._last_override = self._last_matrix = -1
 
     def _refuse(self, reason: str) -> str:
         self.refused[reason] += 1

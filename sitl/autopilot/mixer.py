@@ -83,10 +83,8 @@ def mix(
 
 def thrust_to_output(thrust: np.ndarray, expo: float, spin_min: float, spin_max: float) -> np.ndarray:
     """Actuator output 0..1 for a thrust 0..1: the inverse of the motor's curve, above the idle speed."""
-    if expo == 0.0:
-        ratio = thrust
-    else:
-        ratio = ((expo - 1.0) + np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)) / (2.0 * expo)
+    root = np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)
+    ratio = thrust if expo == 0.0 else (root - (1.0 - expo)) / (2.0 * expo)
     return spin_min + (spin_max - spin_min) * ratio
 
 

@@ -123,9 +123,7 @@ class PositionControl:
 
 def _attitude_for(acceleration: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Attitude (N, 4) whose thrust gives the horizontal ``acceleration`` (N, 2) m/s^2 NED, heading ``yaw``."""
-    up = np.stack(
-        [acceleration[:, 0], acceleration[:, 1], np.full(len(yaw), -GRAVITY_M_S2)], axis=1
-    )
+    up = np.stack([acceleration[:, 0], acceleration[:, 1], np.full(len(yaw), -GRAVITY_M_S2)], axis=1)
     up /= np.linalg.norm(up, axis=1)[:, None]
     # Rotation that takes the world's up (0, 0, -1) to ``up``.
     axis = np.stack([up[:, 1], -up[:, 0], np.zeros(len(yaw))], axis=1)
