@@ -3,7 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.ready
 
-.PHONY: env demo test lint lock train-env clean
+# Without byte code the daemon would compile the dialect at each start.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: env demo test lint bench lock train-env clean
 
 env: $(STAMP)
 
@@ -24,6 +27,9 @@ lint: env
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+bench: env
+	$(BIN)/python benchmarks/check.py
 
 # Pins every dependency of every extra but train; run after a change of pyproject.toml.
 lock: env

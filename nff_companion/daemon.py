@@ -47,6 +47,7 @@ class Daemon:
         self._stopping = False
         self._last_sample = -np.inf
         self._lost = True
+        self._adopted = False
         self._output: Output | None = None
         self.reporter = Reporter(self.vehicle, self.pipeline)
         self._next_heartbeat = self._next_watchdog = self._next_request = self._next_reconnect = -np.inf
@@ -115,8 +116,9 @@ class Daemon:
         if sample is None:
             return
         began = time.perf_counter()
-        if self._lost and adapter.applied.failed is not None:
+        if not self._adopted and adapter.applied.failed is not None:
             # After a restart in flight the autopilot knows better than we do what has been declared.
+            self._adopted = True
             self.pipeline.adopt(adapter.applied.failed)
         override = self.pipeline.respond(sample)
         if override is not None:

@@ -45,7 +45,8 @@ class PipelineOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
     resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
     resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
-    catch_s: float = 2.0  # after a declaration roll and pitch have more right to torque than yaw
+    catch_s: float = 2.0  # after a double failure roll and pitch have more right to torque than yaw
+    double_within_s: float = 0.5  # two declarations within this time are a double failure
     gap_max_s: float = 0.1  # without a sample: the estimate starts anew
     recover_s: float = 0.3  # of good samples, to act again
 
@@ -91,7 +92,7 @@ class Pipeline:
         self._plan: Plan | None = None
         self._planned_for = np.ones(m)
         self._planned_s = -np.inf
-        self._caught_s = -np.inf
+        self._caught_s = self._declared_s = -np.inf
         self._catching = False
         self._low_since_s = np.full(m, np.nan)
         self._untouched = True  # all motors healthy, the autopilot's own allocation in force
@@ -238,7 +239,9 @@ class Pipeline:
         change = float(np.abs(target - self._planned_for).max())
         declared = bool(estimate.events)
         if declared:
-            self._caught_s = time_s + self.options.catch_s
+            if len(estimate.events) > 1 or time_s - self._declared_s < o.double_within_s:
+                self._caught_s = time_s + o.catch_s
+            self._declared_s = time_s
         catching = time_s < self._caught_s
         caught = self._catching and not catching
         self._catching = catching

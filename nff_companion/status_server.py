@@ -12,6 +12,7 @@ from typing import Any
 from nff_companion.errors import EndpointError
 
 _LARGEST = 4096
+_WAITING_MAX = 8
 Handler = Callable[[dict[str, Any]], dict[str, Any]]
 
 
@@ -51,6 +52,8 @@ class StatusServer:
         except BlockingIOError:
             return
         connection.setblocking(False)
+        if len(self._open) >= _WAITING_MAX:
+            self._open.pop(0).close()  # it connected and never asked
         self._open.append(connection)
 
     def serve(self, connection: socket.socket) -> None:

@@ -17,6 +17,7 @@ OUTPUT_AGE_MAX_S = 0.1
 STATE_AGE_MAX_S = 0.5
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
+_WRAP_USEC = 2**32
 
 
 class TelemetryDecoder:
@@ -27,7 +28,7 @@ class TelemetryDecoder:
         self._names = [f"servo{i}_raw" for i in range(1, vehicle.motors + 1)]
         self._armed = False
         self._output: np.ndarray = np.full(vehicle.motors, np.nan)
-        self._output_s = -np.inf
+        self._output_usec: int | None = None
         self._quaternion: np.ndarray | None = None
         self._position: np.ndarray | None = None
         self._velocity: np.ndarray | None = None
@@ -66,7 +67,7 @@ class TelemetryDecoder:
         pwm = np.array([getattr(message, name) for name in self._names], float)
         # 0 means that the autopilot does not drive the output (disarmed, or not a motor).
         self._output = self._vehicle.output_of_pwm(pwm)
-        self._output_s = 1e-6 * message.time_usec
+        self._output_usec = message.time_usec
 
     def _attitude(self, message: Message) -> None:
         self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
@@ -81,9 +82,15 @@ class TelemetryDecoder:
         self._target_yaw = message.yaw
         self._target_s = 1e-3 * message.time_boot_ms
 
+    def _output_age_s(self, now_usec: int) -> float:
+        """Age of the motor outputs; their time is 32 bits of microseconds, which wrap every 71.6 minutes."""
+        if self._output_usec is None:
+            return np.inf
+        return 1e-6 * abs((now_usec - self._output_usec + _WRAP_USEC // 2) % _WRAP_USEC - _WRAP_USEC // 2)
+
     def _imu(self, message: Message) -> Sample:
         time_s = 1e-6 * message.time_usec
-        fresh = abs(time_s - self._output_s) <= OUTPUT_AGE_MAX_S
+        fresh = self._output_age_s(message.time_usec) <= OUTPUT_AGE_MAX_S
         located = abs(time_s - self._position_s) <= STATE_AGE_MAX_S
         aimed = abs(time_s - self._target_s) <= STATE_AGE_MAX_S
         return Sample(

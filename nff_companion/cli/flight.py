@@ -83,7 +83,7 @@ def demo(
     rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
-    report: Annotated[Path, typer.Option(help="Where to write the picture.")] = Path("demo.report.html"),
+    report: Annotated[Path, typer.Option(help="Picture to write: .html, .png or .svg.")] = Path("demo.report.html"),
     json: Json = False,
 ) -> None:
     """Fly the same flight twice over UDP, without and with the companion, and compare."""

@@ -1,4 +1,4 @@
-"""The picture of a demo: one HTML file by plotly."""
+"""The picture of a demo: one HTML file by plotly, or a still picture (.png, .svg) by matplotlib."""
 
 from __future__ import annotations
 
@@ -52,6 +52,40 @@ def _figure(result: DemoResult) -> Any:
     return figure
 
 
+def _still(path: Path, result: DemoResult) -> None:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtra("a still picture needs matplotlib: pip install nff-companion[sim]") from error
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    tilt, off, eta, outputs = figure.subplots(4, 1, sharex=True)
+    for trace, name, colour in ((result.baseline, "without", "#c0392b"), (result.companion, "companion", "#2471a3")):
+        tilt.plot(trace.time_s, trace.tilt_deg, label=name, color=colour)
+        off.plot(trace.time_s, trace.position_error_m, color=colour)
+    trace = result.companion
+    for motor in range(len(trace.output[0]) if trace.output else 0):
+        eta.plot(trace.effectiveness_time_s, [row[motor] for row in trace.effectiveness], label=f"motor {motor + 1}")
+        outputs.plot(trace.time_s, [row[motor] for row in trace.output])
+    for axes, title in (
+        (tilt, "tilt, deg"),
+        (off, "distance from the path, m"),
+        (eta, "estimated effectiveness"),
+        (outputs, "motor outputs with the companion"),
+    ):
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.grid(alpha=0.3)
+        for _, at in result.options.failures:
+            axes.axvline(at, linestyle=":", color="grey")
+    tilt.legend(loc="upper right", fontsize=8)
+    eta.legend(loc="lower left", fontsize=7, ncols=8)
+    off.set_ylim(0, 5)
+    outputs.set_xlabel("s")
+    figure.savefig(path, dpi=90)
+
+
 def write_report(path: Path, result: DemoResult) -> None:
-    """Write the HTML file. Raises MissingExtra, OSError."""
-    _figure(result).write_html(str(path), include_plotlyjs=True)
+    """Write the picture, by the suffix of ``path``. Raises MissingExtra, OSError."""
+    if path.suffix in (".png", ".svg"):
+        _still(path, result)
+    else:
+        _figure(result).write_html(str(path), include_plotlyjs=True)

@@ -1,0 +1,72 @@
+"""Measure what budgets.toml bounds; exit code 1 when a budget is broken.
+
+Run with ``make bench``. Figures are printed as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from nff_companion import vehicle
+from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.trials import allocation_bench, loop_bench
+from nff_companion.trials.demo import DemoOptions, make_fleet
+from nff_companion.trials.virtual import VirtualFlight
+
+
+def step_over_solve() -> float:
+    """Median time of a pipeline step over that of ``numpy.linalg.solve`` on 8 x 8, interleaved."""
+    flight = VirtualFlight(
+        make_fleet(DemoOptions(failures=[])),
+        {0: PipelineOptions(mode=Mode.OBSERVE)},
+        airframe="octo-x",
+        thrust_to_weight=None,
+        rate_hz=200.0,
+        link_delay_s=0.0,
+    )
+    samples = []
+    pipeline = flight.companions[0].pipeline
+    pipeline.step = lambda sample, override=None: (samples.append(sample), Pipeline.step(pipeline, sample))[1]  # type: ignore[method-assign]
+    for _ in range(400 * 6):
+        flight.step()
+    fresh = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions(mode=Mode.OBSERVE))
+    matrix, right = np.eye(8) + 0.01, np.ones(8)
+    steps, solves = [], []
+    for sample in samples:
+        began = time.perf_counter()
+        fresh.step(sample)
+        middle = time.perf_counter()
+        np.linalg.solve(matrix, right)
+        steps.append(middle - began)
+        solves.append(time.perf_counter() - middle)
+    return float(np.median(steps[600:]) / np.median(solves[600:]))
+
+
+def main() -> int:
+    budgets = tomllib.loads((Path(__file__).parent / "budgets.toml").read_text(encoding="utf-8"))
+    loop = loop_bench.measure(rate_hz=400.0, seconds=10.0, airframe="octo-x")
+    methods = allocation_bench.measure(airframe="octo-x", hover=0.0)["methods"]
+    trim, pinv = methods["trim"]["median_us"], methods["pinv"]["median_us"]
+    found = {
+        "loop": {"ratio_p50_max": loop["ratio_p50"], "rss_mb_max": loop["rss_mb"]},
+        "allocation": {"trim_median_us_max": trim, "trim_over_pinv_max": round(trim / pinv, 2)},
+        "step": {"step_over_solve_max": round(step_over_solve(), 2)},
+    }
+    broken = [
+        f"{room}.{key}: {value} > {budgets[room][key]}"
+        for room, values in found.items()
+        for key, value in values.items()
+        if value > budgets[room][key]
+    ]
+    print(json.dumps({"found": found, "loop": loop, "broken": broken}, indent=1))
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
