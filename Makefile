@@ -26,7 +26,8 @@ lint: env
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m realtime
+	$(BIN)/python -m pytest -m 'not realtime' -n 2 --dist worksteal
 
 bench: env
 	$(BIN)/python benchmarks/check.py

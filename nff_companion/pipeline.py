@@ -15,7 +15,7 @@ import numpy as np
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
-from nff_companion.control.law import ControlLaw, Reference, State, saturate
+from nff_companion.control.law import ControlLaw, Reference, State, saturate, steady_push
 from nff_companion.errors import SolverError
 from nff_companion.estimation import sparse
 from nff_companion.estimation.decision import Event
@@ -276,7 +276,7 @@ class Pipeline:
             q = sample.quaternion
             yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
             self._hold = Reference(sample.position_m.copy(), np.zeros(3), yaw)
-            self._integral = np.zeros(3)
+            self._integral = steady_push(q, sample.specific_force_m_s2)
         reference = self._hold
         if sample.target_position_m is not None and np.isfinite(sample.target_position_m).all():
             yaw = reference.yaw_rad if sample.target_yaw_rad is None else sample.target_yaw_rad

@@ -156,6 +156,7 @@ class Watched:
         return max(tilt for t, tilt, _ in self.rows if start <= t < end)
 
 
+@pytest.mark.realtime
 def test_killed_in_flight_it_leaves_a_flying_vehicle_and_returns_to_it(tmp_path: Path) -> None:
     port = free_port()
     watched = Watched(DemoOptions(failures=[(1, 5.0)], wind_m_s=2.0), port)
@@ -187,6 +188,7 @@ def test_killed_in_flight_it_leaves_a_flying_vehicle_and_returns_to_it(tmp_path:
     assert [e[1] for e in watched.recorder.trace.events if e[2]] == [1], "declared once, taken over after the restart"
 
 
+@pytest.mark.realtime
 def test_a_real_process_flies_in_override_and_the_autopilot_takes_over_when_it_dies(tmp_path: Path) -> None:
     port = free_port()
     watched = Watched(DemoOptions(failures=[], wind_m_s=2.0), port)
@@ -208,6 +210,7 @@ def test_a_real_process_flies_in_override_and_the_autopilot_takes_over_when_it_d
     assert not any(fleet.autopilot.ports[0].refused.values())
 
 
+@pytest.mark.realtime
 def test_telemetry_that_stops_is_observed_and_said(tmp_path: Path) -> None:
     port = free_port()
     watched = Watched(DemoOptions(failures=[]), port)

@@ -15,6 +15,7 @@ from sitl.fleet import Fleet, FleetOptions
 mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is part of the extra sim, which make env installs")
 
 
+@pytest.mark.realtime
 def test_mavsdk_flies_the_emulated_vehicle() -> None:
     from mavsdk.plugins.action import Action
     from mavsdk.plugins.failure.failure import Failure, FailureType, FailureUnit

@@ -67,6 +67,7 @@ def test_bench_allocation_prints_one_document() -> None:
     assert set(methods["trim"]["torque"]) >= {"healthy", "1", "8", "1+2", "7+8"}
 
 
+@pytest.mark.realtime
 def test_bench_loop_answers_every_sample_with_its_own_override() -> None:
     result = subprocess.run(
         [*NFF, "bench", "loop", "--rate", "200", "--seconds", "2", "--json"], capture_output=True, text=True, check=True

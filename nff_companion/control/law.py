@@ -105,6 +105,16 @@ def attitude_error(body: tuple[Vector, Vector, Vector], desired: tuple[Vector, V
     return _dot(body[0], world) * scale, _dot(body[1], world) * scale, _dot(body[2], world) * scale
 
 
+def steady_push(quaternion: np.ndarray, specific_force_m_s2: np.ndarray) -> np.ndarray:
+    """Horizontal push of the thrust now (3,) m/s^2 NED: in a steady hover what the wind asks for.
+
+    The integral begins with it, so that taking over does not let the vehicle drift off first.
+    """
+    down = _axes(quaternion)[2]
+    force = float(specific_force_m_s2[2])
+    return np.array([_clip(down[0] * force, _INTEGRAL_MAX_M_S2), _clip(down[1] * force, _INTEGRAL_MAX_M_S2), 0.0])
+
+
 class ControlLaw:
     """Constants of one airframe; ``step`` takes and returns the integral of the position loop."""
 

@@ -1,0 +1,85 @@
+"""The control law: it points the right way, and saturation serves roll and pitch before yaw."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from nff_companion.allocation import allocator, problem_for
+from nff_companion.control.law import ControlLaw, Reference, State, saturate, steady_push
+from nff_companion.vehicle import Vehicle
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+STILL = np.zeros(3)
+
+
+def demand(octo: Vehicle, *, position=STILL, velocity=STILL, quaternion=LEVEL, rate=STILL, disturbance=None, yaw=0.0):
+    state = State(np.asarray(position, float), np.asarray(velocity, float), quaternion, np.asarray(rate, float))
+    wanted = Reference(np.zeros(3), np.zeros(3), yaw)
+    slow = np.zeros(4) if disturbance is None else np.asarray(disturbance, float)
+    return ControlLaw(octo).demand(state, wanted, np.zeros(3), slow, 0.005)[0]
+
+
+def test_at_rest_in_place_it_asks_for_the_weight_and_nothing_else(octo: Vehicle) -> None:
+    np.testing.assert_allclose(demand(octo), [octo.hover, 0, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "axis", "sign"),
+    [
+        ({"position": [-1, 0, 0]}, 2, -1),  # south of the goal: nose down
+        ({"position": [0, -1, 0]}, 1, 1),  # west of the goal: roll right
+        ({"position": [0, 0, 1]}, 0, 1),  # below the goal: more thrust
+        ({"velocity": [1, 0, 0]}, 2, 1),  # going north: nose up
+        ({"rate": [0.5, 0, 0]}, 1, -1),
+        ({"rate": [0, 0.5, 0]}, 2, -1),
+        ({"rate": [0, 0, 0.5]}, 3, -1),
+        ({"yaw": 0.5}, 3, 1),
+        ({"disturbance": [0, 2.0, 0, 0]}, 1, -1),  # what already rolls it is taken off (6.18)
+        ({"disturbance": [1.0, 0, 0, 0]}, 0, -1),
+    ],
+)
+def test_each_error_is_answered_with_the_right_sign(octo: Vehicle, change: dict, axis: int, sign: int) -> None:
+    difference = demand(octo, **change) - demand(octo)
+    assert np.sign(difference[axis]) == sign
+    others = np.delete(np.abs(difference), axis)
+    assert abs(difference[axis]) > 0.0
+    if axis:
+        assert others[1:].max(initial=0.0) < 1e-9 + 0.2 * abs(difference[axis])
+
+
+def test_a_tilted_vehicle_is_turned_back_whatever_its_heading(octo: Vehicle) -> None:
+    for yaw in np.linspace(-3, 3, 7):
+        tilt = np.array([math.cos(0.2), math.sin(0.2), 0, 0])  # rolled right by 0.4 rad
+        turn = np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
+        w, x, z = turn[0] * tilt[0], turn[0] * tilt[1], turn[3] * tilt[0]
+        answer = demand(octo, quaternion=np.array([w, x, turn[3] * tilt[1], z]), yaw=float(yaw))
+        assert answer[1] < -0.01
+        assert abs(answer[2]) < 0.3 * abs(answer[1])
+
+
+def test_saturation_cuts_yaw_first_and_stays_within_bounds(octo: Vehicle, rng: np.random.Generator) -> None:
+    matrix = allocator("trim")(problem_for(octo.effectiveness, np.ones(8), octo.hover))
+    small = np.array([0.4, 0.1, -0.1, 0.1])
+    thrust, served = saturate(matrix, small)
+    np.testing.assert_allclose(octo.effectiveness @ thrust, small, atol=1e-9)
+    np.testing.assert_allclose(served, small)
+    for _ in range(500):
+        wild = rng.uniform([0.0, -1, -1, -1], [1.0, 1, 1, 1])
+        thrust, served = saturate(matrix, wild)
+        assert thrust.min() >= 0.0
+        assert thrust.max() <= 1.0
+        assert abs(served[3]) <= abs(wild[3]) + 1e-12
+    thrust, served = saturate(matrix, np.array([0.4, 0.3, 0.0, 1.0]))
+    assert served[1] == pytest.approx(0.3)
+    assert abs(served[3]) < 0.9
+    assert (octo.effectiveness @ thrust)[1] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_the_push_of_a_leaning_hover_is_where_it_leans(octo: Vehicle) -> None:
+    lean = np.array([math.cos(-0.05), 0, math.sin(-0.05), 0])  # nose down: pushes forward (north)
+    push = steady_push(lean, np.array([0, 0, -9.8]))
+    assert push[0] == pytest.approx(9.8 * math.sin(0.1), rel=1e-6)
+    assert push[1:].tolist() == [0.0, 0.0]
