@@ -6,6 +6,7 @@ import gc
 import logging
 import select
 import signal
+import struct
 import time
 from collections.abc import Callable
 from typing import Any
@@ -48,6 +49,7 @@ class Daemon:
         self._last_sample = -np.inf
         self._lost = True
         self._adopted = False
+        self._heard: dict[int, float] = {}  # message id to its last arrival
         self._output: Output | None = None
         self.reporter = Reporter(self.vehicle, self.pipeline)
         self._next_heartbeat = self._next_watchdog = self._next_request = self._next_reconnect = -np.inf
@@ -86,9 +88,9 @@ class Daemon:
                 for connection in self._status.connections():
                     self._poll.register(connection.fileno(), select.POLLIN)
             else:
+                self._poll.unregister(descriptor)  # a request, or a connection that is gone
                 for connection in list(self._status.connections()):
                     if connection.fileno() == descriptor:
-                        self._poll.unregister(descriptor)
                         self._status.serve(connection)
         self._periodic(self._clock())
 
@@ -112,6 +114,7 @@ class Daemon:
         assert adapter is not None
         if message.get_srcSystem() != adapter.target[0]:
             return
+        self._heard[message.get_msgId()] = self._clock()
         sample = adapter.observe(message)
         if sample is None:
             return
@@ -120,6 +123,7 @@ class Daemon:
             # After a restart in flight the autopilot knows better than we do what has been declared.
             self._adopted = True
             self.pipeline.adopt(adapter.applied.failed)
+        self.pipeline.blocked = adapter.blocked(sample.time_s)
         override = self.pipeline.respond(sample)
         if override is not None:
             self._send(adapter.drive(override, sample.time_s))
@@ -155,6 +159,10 @@ class Daemon:
             self._endpoint.send(self._codec.pack(message))
         except EndpointError as error:
             self._drop_endpoint(error)
+        except struct.error as error:
+            # A value that its field cannot hold: said, counted, not sent.
+            self.reporter.unsendable += 1
+            log.error("%s cannot be packed: %s", message.get_type(), error)
 
     def _drop_endpoint(self, error: EndpointError) -> None:
         log.error("%s; trying again every %.0f s", error, _RECONNECT_S)
@@ -193,10 +201,13 @@ class Daemon:
                 log.error("%s", error)
 
     def _request_streams(self, adapter: NffDialectAdapter) -> None:
-        """Ask for what is needed as long as it does not come fast enough."""
-        if self.reporter.rate_hz >= 0.8 * self._config.link.rate_hz:
-            return
+        """Ask for what is needed as long as it does not come, or not fast enough."""
+        slow = self.reporter.rate_hz < 0.8 * self._config.link.rate_hz
+        now = self._clock()
         for stream in adapter.streams(self._config.link.rate_hz):
+            silent = now - self._heard.get(stream.message_id, -np.inf) > _STREAM_REQUEST_S
+            if not (slow or silent):
+                continue
             self._send(
                 dialect.MAVLink_command_long_message(
                     *adapter.target,
@@ -234,7 +245,7 @@ class Daemon:
                 log.warning("operator set mode %s", name)
             elif command != "status":
                 return {"error": f"command {command!r} is unknown: status, lift or mode"}
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
             return {"error": f"bad request: {error}"}
         age = self._clock() - self._last_sample
         return self.reporter.document(self._codec.bad_frames, self._adapter, None if np.isinf(age) else age)

@@ -20,6 +20,8 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     ended_after_s: float = 0.5
     impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
     impact_m_s2: float = 10.0  # and this much more
+    impact_samples: int = 3  # in a row: one may be a shock, or noise
+    impact_below_m: float = 3.0  # above the ground: higher up there is nothing to stand on
 
 
 class FlightPhase:
@@ -30,6 +32,7 @@ class FlightPhase:
         full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
         self._impact_m_s2 = options.impact_share * full + options.impact_m_s2
         self._hit = False
+        self._over = 0
         self._flying = False
         self._ground_m: float | None = None
         self._pushing_since_s: float | None = None
@@ -51,8 +54,10 @@ class FlightPhase:
             self._hit = False
             return False
         force = sample.specific_force_m_s2
-        if float(force @ force) > self._impact_m_s2**2:
-            # Whatever was hit still pushes: only a climb from here is flight again.
+        self._over = self._over + 1 if float(force @ force) > self._impact_m_s2**2 else 0
+        low = height is None or self._ground_m is None or height - self._ground_m < o.impact_below_m
+        if self._over >= o.impact_samples and low:
+            # What was hit still pushes: only a climb from here, or the autopilot's word, is flight again.
             self._hit, self._ground_m, self._flying = True, height, False
             self._pushing_since_s = None
         if share < o.thrust_share:
@@ -69,6 +74,8 @@ class FlightPhase:
         elif self._pushing_since_s is not None:
             pushing = time_s - self._pushing_since_s
             high = height is not None and self._ground_m is not None and height - self._ground_m > o.height_m
-            self._flying = (high and pushing >= o.sure_after_s) or (not self._hit and pushing >= o.assumed_after_s)
+            assumed = pushing >= o.assumed_after_s and (not self._hit or sample.landed is False)
+            self._flying = assumed or (high and pushing >= o.sure_after_s)
+            self._hit = self._hit and not self._flying
         self._flew = self._flew or self._flying
         return self._flying

@@ -7,7 +7,7 @@ virtual time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import msgspec
@@ -23,6 +23,10 @@ from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOpt
 from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import Vehicle
+
+# Beyond what any vehicle survives: such a sample is a fault of the sensor or of the link.
+_GYRO_MAX_RAD_S, _FORCE_MAX_M_S2, _TIME_MAX_S = 60.0, 400.0, 1e8
+_REORDERED_S = 0.1  # a sample this much older than the last one is a duplicate or came late: ignored
 
 
 class Mode(IntEnum):
@@ -97,6 +101,9 @@ class Pipeline:
         self._low_since_s = np.full(m, np.nan)
         self._untouched = True  # all motors healthy, the autopilot's own allocation in force
         self._refusal = ""
+        self._blind = ""  # why override cannot close the loop
+        self.blocked = ""  # set from outside: why nothing may be sent
+        self._last_output: Output | None = None
         self._hold: Reference | None = None
         self._integral = np.zeros(3)
         self._healthy = make_plan(self._allocate, vehicle.effectiveness, np.ones(m), vehicle.hover)
@@ -136,8 +143,10 @@ class Pipeline:
             return "motor outputs missing in telemetry"
         if not math.isfinite(float(sample.gyro_rad_s.sum()) + float(sample.specific_force_m_s2.sum())):
             return "gyro or accelerometer not finite"
-        if not math.isfinite(sample.time_s):
-            return "time of the sample not finite"
+        if not 0.0 <= sample.time_s < _TIME_MAX_S:
+            return f"time of the sample is {sample.time_s}"
+        if abs(sample.gyro_rad_s).max() > _GYRO_MAX_RAD_S or abs(sample.specific_force_m_s2).max() > _FORCE_MAX_M_S2:
+            return "gyro or accelerometer beyond what a vehicle survives"
         return None
 
     def _bad(self, time_s: float, reason: str) -> Output:
@@ -152,7 +161,7 @@ class Pipeline:
         To be called before ``step`` with the same sample: the answer rests on what was believed up to the sample
         before (u_k on g(x, u_(k-1)), equation (6.7)), so that no estimation stands between a sample and its outputs.
         """
-        if self.mode != Mode.OVERRIDE or self._trouble or self._state is None or self._last_s is None:
+        if self._acting() != Mode.OVERRIDE or self._state is None or self._last_s is None:
             return None
         gap = sample.time_s - self._last_s
         if not 0.0 < gap <= self.options.gap_max_s or self._refuse(sample) is not None:
@@ -166,6 +175,9 @@ class Pipeline:
             return self._bad(self._last_s or 0.0, reason)
         time_s = sample.time_s
         gap = None if self._last_s is None else time_s - self._last_s
+        if gap is not None and self._last_output is not None and -_REORDERED_S < gap < 0.2 * self.dt_s:
+            self.bad_samples += 1
+            return replace(self._last_output, events=[], override=None, bad_samples=self.bad_samples)
         self._last_s = time_s
         if gap is not None and not 0.0 < gap <= self.options.gap_max_s:
             self._restart()
@@ -175,7 +187,7 @@ class Pipeline:
         command = sample.thrust if sample.thrust is not None else self.vehicle.thrust_fraction(sample.output)
         flying = self._phase.step(sample, command)
         if not flying or gap is None:
-            self._state = None
+            self._state = self._hold = None
             if self._phase.disarmed_after_flight:
                 self._forget()
             self._trouble = "not flying" if not flying else "starting"
@@ -206,6 +218,8 @@ class Pipeline:
         self._state = None
         self._hold = None
         self._last_s = None
+        self._planned_s = self._caught_s = self._declared_s = -np.inf
+        self._low_since_s[:] = np.nan
 
     def _forget(self) -> None:
         """After landing and disarming the next flight starts without declarations."""
@@ -236,7 +250,7 @@ class Pipeline:
             shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
             target = np.where(degraded, np.maximum(shaped, 0.1), 1.0)
         target[estimate.failed] = 0.0
-        change = float(np.abs(target - self._planned_for).max())
+        change = float(np.nan_to_num(np.abs(target - self._planned_for), nan=1.0).max())
         declared = bool(estimate.events)
         if declared:
             if len(estimate.events) > 1 or time_s - self._declared_s < o.double_within_s:
@@ -257,6 +271,9 @@ class Pipeline:
         if isinstance(plan, Refusal):
             self.rejected += 1
             self._refusal = f"no new matrix: {plan.reason}"
+            self._planned_for = np.full_like(target, np.nan)  # try again after the interval
+            if self._plan is not None and self._plan.matrix[estimate.failed].any():
+                self._plan = None  # it drives a motor that is dead: the autopilot's own reduced mixing is better
         else:
             self._plan, self._refusal = plan, ""
 
@@ -266,11 +283,11 @@ class Pipeline:
         """Motor outputs (m,) by (6.18), None when the state is not known."""
         plan = self._plan or (self._healthy if isinstance(self._healthy, Plan) else None)
         if plan is None or sample.quaternion is None or sample.position_m is None or sample.velocity_m_s is None:
-            self._refusal = "override needs attitude, position and velocity: not in telemetry"
+            self._blind = "override needs fresh attitude, position and velocity: allocating instead"
             return None
         known = float(sample.quaternion.sum() + sample.position_m.sum() + sample.velocity_m_s.sum())
         if not math.isfinite(known):
-            self._refusal = "override: attitude or position not finite"
+            self._blind = "override: attitude or position not finite: allocating instead"
             return None
         if self._hold is None:
             q = sample.quaternion
@@ -279,22 +296,25 @@ class Pipeline:
             self._integral = steady_push(q, sample.specific_force_m_s2)
         reference = self._hold
         if sample.target_position_m is not None and np.isfinite(sample.target_position_m).all():
-            yaw = reference.yaw_rad if sample.target_yaw_rad is None else sample.target_yaw_rad
-            reference = Reference(sample.target_position_m, np.zeros(3), yaw)
+            wanted = sample.target_yaw_rad
+            yaw = reference.yaw_rad if wanted is None or not math.isfinite(wanted) else wanted
+            # Held when the autopilot's targets stop: where it last wanted to be, not where we began.
+            reference = self._hold = Reference(sample.target_position_m, np.zeros(3), yaw)
         state = State(sample.position_m, sample.velocity_m_s, sample.quaternion, sample.gyro_rad_s)
         demand, self._integral = self._law.demand(state, reference, self._integral, self._disturbance, dt_s)
         thrust, _ = saturate(plan.matrix, demand)
         output = self.vehicle.output_for(thrust)
         output[self._failed] = 0.0
         if not math.isfinite(float(output.sum())):
-            self._refusal = "override: outputs not finite"
+            self._blind = "override: outputs not finite: allocating instead"
             return None
+        self._blind = ""
         return output
 
     # -- result -------------------------------------------------------------------------------------------------
 
     def _acting(self) -> Mode:
-        return Mode.OBSERVE if self._trouble else self.mode
+        return Mode.OBSERVE if self._trouble or self.blocked else self.mode
 
     def _output(
         self, time_s: float, estimate: Estimate | None, events: list[Event], override: np.ndarray | None
@@ -302,14 +322,14 @@ class Pipeline:
         mode = self._acting()
         m = self.vehicle.motors
         if mode == Mode.OVERRIDE and override is None:
-            mode = Mode.OBSERVE
+            mode = Mode.ALLOCATE
         plan = self._plan if mode != Mode.OBSERVE else None
         shown = np.ones(m) if estimate is None else estimate.effectiveness
-        degraded = (self._planned_for < 1.0) & ~self._failed
-        return Output(
+        degraded = (self._planned_for < 1.0) & ~self._failed  # NaN, not yet planned: not degraded
+        self._last_output = Output(
             time_s=time_s,
             mode=mode,
-            reason=self._trouble or self._refusal or self._doing(),
+            reason=self._trouble or self.blocked or self._refusal or self._blind or self._doing(),
             flying=estimate is not None,
             failed=self._failed,
             effectiveness=np.where(self._failed & (shown > 0.99), 0.0, shown) if estimate is None else shown,
@@ -323,6 +343,7 @@ class Pipeline:
             rejected=self.rejected,
             bad_samples=self.bad_samples,
         )
+        return self._last_output
 
     def _doing(self) -> str:
         if self.mode == Mode.OBSERVE:

@@ -28,6 +28,7 @@ class Reporter:
         self._vehicle, self._pipeline = vehicle, pipeline
         self.samples = 0
         self.commands_sent = 0
+        self.unsendable = 0
         self._durations: deque[float] = deque(maxlen=_WINDOW)
         self._arrivals: deque[float] = deque(maxlen=_WINDOW)
         self._output: Output | None = None
@@ -136,7 +137,9 @@ class Reporter:
     def text_message(self, event: Event) -> Message:
         """STATUSTEXT for the pilot."""
         if event.declared:
-            acting = "observing" if self._mode() == Mode.OBSERVE else "reallocated"
+            output = self._output
+            observing = output is None or output.mode == Mode.OBSERVE
+            acting = "observing" if observing else "reallocated" if output and output.plan else "NO matrix"
             text = f"Motor {event.motor} failed (eff {event.effectiveness:.2f}): {acting}"
         else:
             text = f"Motor {event.motor} works again"
@@ -190,6 +193,7 @@ class Reporter:
                 "bad_samples": self._pipeline.bad_samples,
                 "bad_frames": bad_frames,
                 "commands_sent": self.commands_sent,
+                "unsendable": self.unsendable,
                 "matrices_rejected": self._pipeline.rejected,
             },
             "autopilot": None

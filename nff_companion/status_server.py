@@ -70,7 +70,7 @@ class StatusServer:
     def _answer(self, data: bytes) -> dict[str, Any]:
         try:
             request = json.loads(data)
-        except ValueError:
+        except (ValueError, RecursionError):
             return {"error": "request is not JSON"}
         if not isinstance(request, dict):
             return {"error": "request is not an object"}

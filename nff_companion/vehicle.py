@@ -19,6 +19,7 @@ from nff_companion.errors import ConfigError
 
 GRAVITY_M_S2 = 9.80665
 AXES = ("thrust", "roll", "pitch", "yaw")
+MOTORS_MAX = 12  # a matrix of 12 rows and 4 columns fills one message
 THRUST, ROLL, PITCH, YAW = range(4)
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -214,8 +215,10 @@ def load(name: str, *, thrust_to_weight: float | None = None) -> Vehicle:
         raise ConfigError(f"airframe file {path} cannot be read: {error.strerror}") from error
     except (msgspec.ValidationError, msgspec.DecodeError) as error:
         raise ConfigError(f"airframe file {path}: {error}") from error
-    if not 3 <= len(data.rotor) <= 16:
-        raise ConfigError(f"airframe file {path} has {len(data.rotor)} rotors; between 3 and 16 can be handled")
+    if not 3 <= len(data.rotor) <= MOTORS_MAX:
+        raise ConfigError(
+            f"airframe file {path} has {len(data.rotor)} rotors; between 3 and {MOTORS_MAX} can be handled"
+        )
     if thrust_to_weight is not None:
         thrust = thrust_to_weight * data.airframe.mass_kg * GRAVITY_M_S2 / len(data.rotor)
         data = msgspec.structs.replace(data, motor=msgspec.structs.replace(data.motor, max_thrust_n=thrust))

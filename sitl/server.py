@@ -259,7 +259,11 @@ class Server:
         if message.failed_mask >> motors:
             failed = np.zeros(0, bool)  # names motors that are not there: refused as a wrong dimension
         port.receive_declaration(
-            failed, sequence=message.sequence, sample_s=self._sample_s(message), now_s=self.fleet.time_s
+            failed,
+            armed=bool(self.fleet.autopilot.armed[0]),
+            sequence=message.sequence,
+            sample_s=self._sample_s(message),
+            now_s=self.fleet.time_s,
         )
         self.fleet.autopilot.port_changed()
         maker = self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]

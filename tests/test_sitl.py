@@ -196,7 +196,9 @@ class TestCompanionPort:
     def test_a_declaration_of_most_motors_is_refused(self) -> None:
         port = CompanionPort(8)
         failed = np.array([True] * 5 + [False] * 3)
-        assert port.receive_declaration(failed, sequence=1, sample_s=10.0, now_s=10.0) == "range"
+        assert port.receive_declaration(failed, sequence=1, sample_s=10.0, now_s=10.0, armed=True) == "range"
+        one = np.eye(8, dtype=bool)[0]
+        assert port.receive_declaration(one, sequence=1, sample_s=10.0, now_s=10.0, armed=False) == "disarmed"
 
 
 def test_the_dead_man_returns_the_vehicle_to_stock_mixing_in_flight() -> None:

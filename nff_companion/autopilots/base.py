@@ -56,6 +56,9 @@ class Adapter(Protocol):
     def act(self, output: Output) -> list[Message]:
         """Commands that put ``output`` into force, to be sent now."""
 
+    def blocked(self, time_s: float) -> str:
+        """Why no command may be sent at ``time_s`` of the autopilot's clock; empty when one may."""
+
     def drive(self, outputs: np.ndarray, time_s: float) -> Message:
         """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""
 

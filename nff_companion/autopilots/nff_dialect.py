@@ -17,6 +17,7 @@ MATRIX_TIMEOUT_MS = 500
 OVERRIDE_TIMEOUT_MS = 100
 _MATRIX_INTERVAL_S = 0.05
 _DECLARATION_INTERVAL_S = 0.05
+_ANSWER_MAX_S = 1.0
 _FACTORS = 48
 _OUTPUTS = 16
 
@@ -36,6 +37,7 @@ class NffDialectAdapter:
         self._declared_s = -np.inf
         self._matrix_s = -np.inf
         self._plan: object = None
+        self._applied_s = -np.inf
 
     def streams(self, rate_hz: float) -> list[Stream]:
         """Messages to ask for; the inertial sample comes last in each cycle."""
@@ -54,6 +56,7 @@ class NffDialectAdapter:
         """Telemetry, and what the autopilot says of our commands."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_NFF_APPLIED:
             bits = np.arange(self._vehicle.motors)
+            self._applied_s = 1e-6 * message.time_usec
             self.applied = Applied(
                 source=message.source,
                 failed=((message.failed_mask >> bits) & 1).astype(bool),
@@ -67,6 +70,12 @@ class NffDialectAdapter:
             )
             return None
         return self._decoder.observe(message)
+
+    def blocked(self, time_s: float) -> str:
+        """Why no command may be sent at ``time_s``: an autopilot that does not answer does not obey either."""
+        if abs(time_s - self._applied_s) <= _ANSWER_MAX_S:
+            return ""
+        return "the autopilot does not say what it has in force (NFF_APPLIED): observing"
 
     def drive(self, outputs: np.ndarray, time_s: float) -> Message:
         """Motor outputs (m,) that answer the sample of ``time_s``."""
@@ -88,8 +97,8 @@ class NffDialectAdapter:
         messages: list[Message] = []
         changed = bool((output.failed != self._declared).any())
         confirmed = self.applied.failed is not None and bool((self.applied.failed == output.failed).all())
-        again = not confirmed and output.time_s - self._declared_s >= _DECLARATION_INTERVAL_S
-        if changed or (again and (output.failed.any() or self.applied.failed is not None)):
+        again = not confirmed and not 0.0 <= output.time_s - self._declared_s < _DECLARATION_INTERVAL_S
+        if output.flying and (changed or again):
             self._declared, self._declared_s = output.failed.copy(), output.time_s
             self._declared_sequence = self._next()
             mask = int((1 << np.flatnonzero(output.failed)).sum())

@@ -15,6 +15,7 @@ from nff_companion.vehicle import Vehicle
 
 OUTPUT_AGE_MAX_S = 0.1
 STATE_AGE_MAX_S = 0.5
+ATTITUDE_AGE_MAX_S = 0.1
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
 _WRAP_USEC = 2**32
@@ -30,6 +31,7 @@ class TelemetryDecoder:
         self._output: np.ndarray = np.full(vehicle.motors, np.nan)
         self._output_usec: int | None = None
         self._quaternion: np.ndarray | None = None
+        self._quaternion_s = -np.inf
         self._position: np.ndarray | None = None
         self._velocity: np.ndarray | None = None
         self._position_s = -np.inf
@@ -65,12 +67,15 @@ class TelemetryDecoder:
         if self._vehicle.motors > _MAX_SERVOS:
             return
         pwm = np.array([getattr(message, name) for name in self._names], float)
-        # 0 means that the autopilot does not drive the output (disarmed, or not a motor).
         self._output = self._vehicle.output_of_pwm(pwm)
+        if self._armed and pwm.min() <= 0.0:
+            # An output that an armed autopilot does not drive is no motor: the airframe is another one.
+            self._output = np.full_like(self._output, np.nan)
         self._output_usec = message.time_usec
 
     def _attitude(self, message: Message) -> None:
         self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
+        self._quaternion_s = 1e-3 * message.time_boot_ms
 
     def _local_position(self, message: Message) -> None:
         self._position = np.array([message.x, message.y, message.z])
@@ -99,7 +104,7 @@ class TelemetryDecoder:
             specific_force_m_s2=np.array([message.xacc, message.yacc, message.zacc]),
             output=self._output if fresh else np.full_like(self._output, np.nan),
             armed=self._armed,
-            quaternion=self._quaternion,
+            quaternion=self._quaternion if abs(time_s - self._quaternion_s) <= ATTITUDE_AGE_MAX_S else None,
             position_m=self._position if located else None,
             velocity_m_s=self._velocity if located else None,
             target_position_m=self._target if aimed else None,

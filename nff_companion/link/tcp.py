@@ -7,7 +7,7 @@ import socket
 from nff_companion.errors import EndpointError
 from nff_companion.link.endpoint import Url
 
-_CONNECT_TIMEOUT_S = 3.0
+_CONNECT_TIMEOUT_S = 0.5  # well below the watchdog: connecting blocks the loop
 
 
 class Tcp:

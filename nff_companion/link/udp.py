@@ -52,10 +52,8 @@ class Udp:
             return False
         try:
             self._socket.sendto(data, self._peer)
-        except (BlockingIOError, ConnectionRefusedError):
-            return False
-        except OSError as error:
-            raise EndpointError(f"{self.url}: lost: {error.strerror}") from error
+        except OSError:
+            return False  # full, unreachable or refused now: this datagram is lost, the port is not
         return True
 
     def close(self) -> None:

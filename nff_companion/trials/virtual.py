@@ -152,7 +152,8 @@ class VirtualFlight:
         port = autopilot.ports[index]
         sequence, sample_s, value = command.sequence, command.sample_s, command.value
         if command.kind == "declaration":
-            port.receive_declaration(value, sequence=sequence, sample_s=sample_s, now_s=now_s)
+            armed = bool(autopilot.armed[index])
+            port.receive_declaration(value, sequence=sequence, sample_s=sample_s, now_s=now_s, armed=armed)
         elif command.kind == "matrix":
             port.receive_matrix(value, sequence=sequence, sample_s=sample_s, now_s=now_s, timeout_s=MATRIX_TIMEOUT_S)
         else:

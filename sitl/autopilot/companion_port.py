@@ -104,10 +104,14 @@ class CompanionPort:
         self.accepted += 1
         return None
 
-    def receive_declaration(self, failed: np.ndarray, *, sequence: int, sample_s: float, now_s: float) -> str | None:
+    def receive_declaration(
+        self, failed: np.ndarray, *, sequence: int, sample_s: float, now_s: float, armed: bool
+    ) -> str | None:
         """Take the set of motors declared failed, (m,) bool. It stays until declared otherwise or disarmed."""
         if not -0.05 <= now_s - sample_s <= STALE_AFTER_S:
             return self._refuse("stale")
+        if not armed:
+            return self._refuse("disarmed")
         if failed.shape != (self.motors,):
             return self._refuse("dimension")
         if failed.sum() > self.motors // 2:
