@@ -95,3 +95,30 @@ def test_a_plan_that_is_gone_is_released_at_once(octo: Vehicle) -> None:
 def test_observe_sends_no_command(octo: Vehicle) -> None:
     adapter = NffDialectAdapter(octo, (1, 1))
     assert adapter.act(output(octo, 10.0, [1], None, Mode.OBSERVE)) == []
+
+
+def test_an_attitude_that_stopped_coming_is_not_handed_on(octo: Vehicle) -> None:
+    decoder = TelemetryDecoder(octo)
+    decoder.observe(dialect.MAVLink_attitude_quaternion_message(1000, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, [0.0] * 4))
+    fresh, old = decoder.observe(imu(1_050_000)), decoder.observe(imu(1_200_000))
+    assert fresh is not None
+    assert old is not None
+    assert fresh.quaternion is not None
+    assert old.quaternion is None
+
+
+def test_an_armed_autopilot_with_fewer_motors_than_the_airframe_is_not_believed(octo: Vehicle) -> None:
+    decoder = TelemetryDecoder(octo)
+    decoder.observe(dialect.MAVLink_heartbeat_message(13, 3, 128, 4, 4, 3))
+    decoder.observe(dialect.MAVLink_servo_output_raw_message(1_000_000, 0, *[1500] * 6, 0, 0, *[0] * 8))
+    sample = decoder.observe(imu(1_001_000))
+    assert sample is not None
+    assert np.isnan(sample.output).all()
+
+
+def test_an_autopilot_that_does_not_answer_is_not_commanded(octo: Vehicle) -> None:
+    adapter = NffDialectAdapter(octo, (1, 1))
+    assert "NFF_APPLIED" in adapter.blocked(10.0)
+    adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, *[0] * 12))
+    assert adapter.blocked(10.5) == ""
+    assert "NFF_APPLIED" in adapter.blocked(11.5)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nff_companion import vehicle
+from nff_companion.errors import SolverError
 from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
 from nff_companion.telemetry import Sample
 from nff_companion.trials.virtual import VirtualFlight
@@ -187,3 +188,81 @@ def test_a_flight_in_override_survives_a_failure_and_never_falls_back() -> None:
     assert trial.companions[0].outputs.failed.tolist() == [False] * 4 + [True] + [False] * 3
     assert not trial.fleet.state.crashed[0]
     assert worst < 3.0
+
+
+def test_duplicates_and_late_samples_are_ignored_without_forgetting(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:900])
+    for sample in (recorded[899], recorded[897], recorded[899]):
+        output = pipeline.step(sample)
+        assert (output.mode, output.events) == (Mode.ALLOCATE, [])
+    assert pipeline.step(recorded[900]).mode == Mode.ALLOCATE
+    assert pipeline.bad_samples == 3
+
+
+def test_a_spike_no_vehicle_survives_is_refused_and_names_no_motor(recorded: list[Sample]) -> None:
+    for axis in range(3):
+        pipeline, _ = run(recorded[:700])
+        spike = np.zeros(3)
+        spike[axis] = 1e6
+        output = pipeline.step(dataclasses.replace(recorded[700], gyro_rad_s=spike))
+        assert "beyond" in output.reason
+        assert not any(pipeline.step(s).failed.any() for s in recorded[701:])
+
+
+def test_a_shock_in_the_air_does_not_end_the_watch(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:800])
+    shock = np.array([0.0, 0.0, -90.0])
+    for sample in recorded[800:802]:
+        pipeline.step(dataclasses.replace(sample, specific_force_m_s2=shock))
+    outputs = [pipeline.step(s) for s in recorded[802:]]
+    assert outputs[-1].flying
+    assert not outputs[-1].failed.any()
+
+
+def test_override_falls_back_to_allocation_when_it_is_blind(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
+    blind = dataclasses.replace(recorded[900], position_m=None)
+    output = pipeline.step(blind, pipeline.respond(blind))
+    assert output.mode == Mode.ALLOCATE
+    assert "allocating instead" in output.reason
+    sample = recorded[901]
+    output = pipeline.step(sample, pipeline.respond(sample))
+    assert (output.mode, output.reason) == (Mode.OVERRIDE, "all motors healthy")
+
+
+def test_override_holds_the_last_target_when_targets_stop(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:600], Mode.OVERRIDE)
+    far = np.array([40.0, -20.0, -30.0])
+    for sample in recorded[600:700]:
+        moved = dataclasses.replace(sample, position_m=far, target_position_m=far, target_yaw_rad=math.nan)
+        pipeline.step(moved, pipeline.respond(moved))
+    stopped = dataclasses.replace(recorded[700], position_m=far, velocity_m_s=np.zeros(3), target_position_m=None)
+    answer = pipeline.respond(stopped)
+    assert answer is not None
+    assert pipeline._hold is not None
+    np.testing.assert_allclose(pipeline._hold.position_m, far)
+
+
+def test_a_blocked_autopilot_gets_nothing_and_the_reason_is_shown(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:900])
+    pipeline.blocked = "the autopilot does not answer"
+    output = pipeline.step(recorded[900])
+    assert (output.mode, output.reason, output.plan) == (Mode.OBSERVE, "the autopilot does not answer", None)
+
+
+def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:700])
+    solve, calls = pipeline._allocate, []
+
+    def flaky(problem):
+        calls.append(problem)
+        if len(calls) <= 2:
+            raise SolverError("out of luck")
+        return solve(problem)
+
+    pipeline._allocate = flaky
+    pipeline.adopt(np.eye(8, dtype=bool)[5])
+    outputs = [pipeline.step(s) for s in recorded[700:800]]
+    assert outputs[0].rejected == 1
+    assert "out of luck" in outputs[0].reason
+    assert outputs[-1].plan is not None
