@@ -181,7 +181,7 @@ def test_killed_in_flight_it_leaves_a_flying_vehicle_and_returns_to_it(tmp_path:
             again = fleet.time_s
             wait_for(lambda: bool(state(tmp_path).get("failed")), "the status of the restarted companion")
             assert state(tmp_path)["failed"] == [1]
-            assert state(tmp_path)["autopilot"]["allocation"] == "matrix"
+            wait_for(lambda: state(tmp_path)["autopilot"]["allocation"] == "matrix", "the autopilot's word on it")
             wait_for(lambda: fleet.time_s > again + 2.0, "two seconds more")
             assert watched.worst_tilt(again, again + 2.0) <= before + 2.0
     assert not fleet.state.crashed[0]

@@ -163,6 +163,7 @@ def _measure(
             cpu_began, wall_began = _cpu_s(daemon.pid), time.perf_counter()
         if k % max(round(0.5 / period), 1) == 0:
             feeder.send(heartbeat)
+            feeder.send(dialect.MAVLink_nff_applied_message(sample[-1].time_usec, *[0] * 12))
         for message in sample:
             feeder.send(message)
         sent = time.perf_counter()
