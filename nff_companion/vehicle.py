@@ -1,7 +1,7 @@
 """The airframe as the companion knows it: rotors, mass, inertia, and the effectiveness matrix B0.
 
 FRD body frame, SI units. Motors are rows of ``[[rotor]]`` in the TOML file, numbered from 1 at every interface and
-from index 0 in arrays. Axes of the wrench, in this order: thrust (up), roll, pitch, yaw; THEORY (6.1).
+from index 0 in arrays. Axes of the wrench, in this order: thrust (up), roll, pitch, yaw (6.1).
 """
 
 from __future__ import annotations

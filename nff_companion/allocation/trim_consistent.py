@@ -2,7 +2,7 @@
 
 max  t_R + t_P + t_Y - max_j (u_h)_j / h
 s.t. B u_h = (h, 0, 0, 0),  B A_i = t_i e_i,  0 <= u_h +- A_i <= 1
-then A_T = u_h / h,  A_i := A_i / t_i   (THEORY 3, after (6.13), (6.14))
+then A_T = u_h / h,  A_i := A_i / t_i   (after (6.13), (6.14))
 """
 
 from __future__ import annotations

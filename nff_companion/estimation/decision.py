@@ -2,7 +2,7 @@
 
 A declaration is made when one hypothesis (a motor, or a pair) explains the residual, no other does nearly as well,
 and the loss is large. It latches: at u = 0 the data say nothing of a motor and the l1 term would bring its estimate
-back to healthy (THEORY 4.2, hazard). It is lifted by the operator, or by evidence while the motor is driven.
+back to healthy. It is lifted by the operator, or by evidence while the motor is driven.
 """
 
 from __future__ import annotations

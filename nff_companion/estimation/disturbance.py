@@ -1,6 +1,6 @@
 """What the model does not expect and no motor explains: slow residual, and how noisy the residual usually is.
 
-Neural-Fly's adaptation (THEORY 4.3) with a constant basis, phi = I, at its steady gain: a follows y at 1/tau, one
+Neural-Fly's adaptation (Science Robotics 2022, equations 8, 9) with a constant basis, phi = I, at its steady gain: a follows y at 1/tau, one
 value an axis (wind, drag, centre of mass, errors of mass and thrust). The spread around it gives W.
 """
 
@@ -38,7 +38,7 @@ class SideDragState:
 
 
 def learn_side_drag(state: SideDragState, slope: float, residual: float, variance: float, dt_s: float) -> SideDragState:
-    """One Kalman step (THEORY 4.3, Joseph form in one dimension) on the yaw residual.
+    """One Kalman step (Joseph form in one dimension) on the yaw residual.
 
     ``slope``: yaw acceleration for share 1 at the present thrusts; ``residual``: yaw residual left with the present
     share; ``variance`` of it in steady flight.

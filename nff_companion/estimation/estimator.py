@@ -188,8 +188,8 @@ class Estimator:
 
     @staticmethod
     def _explained(effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
-        """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it too
-        (THEORY 4.3): the loss of a few, and what declared motors still give. None: nothing."""
+        """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
+        too: the loss of a few, and what declared motors still give. None: nothing."""
         loss = effectiveness - 1.0
         low = (loss < -_CLEAR_LOSS) & ~failed
         few = 0 < int(low.sum()) <= _FEW

@@ -2,8 +2,7 @@
 
 A motor that stops at t0 loses its thrust by its lag, and the residual shows it through the filters. With
 g(t - t0) that response, y = B0 diag(w) g(t - t0) e for t > t0: a matched filter for the final loss e, which needs
-not wait until the rotor has stopped. All onsets are evaluated at once (a likelihood ratio over onset and motors,
-THEORY 5).
+not wait until the rotor has stopped. All onsets are evaluated at once: a likelihood ratio over onset and motors.
 """
 
 from __future__ import annotations
