@@ -1,7 +1,8 @@
 """What the model does not expect and no motor explains: slow residual, and how noisy the residual usually is.
 
-Neural-Fly's adaptation (Science Robotics 2022, equations 8, 9) with a constant basis, phi = I, at its steady gain: a follows y at 1/tau, one
-value an axis (wind, drag, centre of mass, errors of mass and thrust). The spread around it gives W.
+Neural-Fly's adaptation (Science Robotics 2022, equations 8, 9) with a constant basis, phi = I, at its steady gain: a
+follows y at 1/tau, one value an axis (wind, drag, centre of mass, errors of mass and thrust). The spread around it
+gives W.
 """
 
 from __future__ import annotations
