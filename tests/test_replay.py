@@ -154,7 +154,7 @@ class TestRealFlights:
     def test_rotor_1_is_named_first_and_never_early_in_any_frame(self, quarters: int) -> None:
         model = vehicle.load("h250")
         seen = model.renumbered(quarters)
-        for path in self.logs() if quarters == 0 else self.logs()[::3]:
+        for path in self.logs():
             before, _ = self.switch_s(path)
             _, rows = read(path, model)
             pipeline = Pipeline(seen, rate_of(s for _, s in rows), PipelineOptions(mode=Mode.OBSERVE))
