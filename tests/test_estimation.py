@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize, signal
 
 from nff_companion.estimation import hypotheses, sparse
-from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
+from nff_companion.estimation.disturbance import CORRELATION_S, MEAN_S, Disturbance, SideDragState, learn_side_drag
 from nff_companion.estimation.filters import LowPass, lag_share, loss_response
 from nff_companion.estimation.onset import MODEL_ERROR_SHARE, YAW_ERROR_SHARE, OnsetBank
 from nff_companion.estimation.residual import SMOOTHING_S, ResidualFilter
@@ -254,3 +254,15 @@ def test_a_sudden_loss_shows_monotonically_from_nought_to_one() -> None:
     assert response[0] < 0.1
     assert response[-1] == pytest.approx(1.0, abs=1e-3)
     assert np.all(np.diff(response) > -1e-3)
+
+
+def test_disturbance_mean_equals_the_batch_of_exponential_weights(octo: Vehicle, rng: np.random.Generator) -> None:
+    disturbance = Disturbance(octo)
+    y = 0.1 * disturbance.loss_scale * rng.standard_normal((300, 4))  # far from the bound on the mean
+    state = disturbance.start()
+    for row in y:
+        state = disturbance.step(state, row, DT)
+    share = DT / MEAN_S
+    weights = share * (1 - share) ** np.arange(299, -1, -1)
+    np.testing.assert_allclose(state.mean, weights @ y, rtol=1e-9)
+    assert disturbance.step(state, y[0], DT, rate=0.0) is state, "frozen while a failure is weighed"

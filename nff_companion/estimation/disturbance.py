@@ -13,7 +13,7 @@ import numpy as np
 
 from nff_companion.vehicle import Vehicle
 
-_MEAN_S = 2.0  # time constant of a
+MEAN_S = 2.0  # time constant of a
 _SPREAD_S = 4.0
 _SPREAD_LIMIT = 3.0  # one sample counts at most this many deviations: a fault must not become usual
 # Least deviation, as a share of what the loss of one motor at hover gives on that axis: errors of the model that
@@ -88,7 +88,7 @@ class Disturbance:
         if rate <= 0.0:
             return state
         around = residual - state.mean
-        mean = state.mean + min(rate * dt_s / _MEAN_S, 0.5) * around
+        mean = state.mean + min(rate * dt_s / MEAN_S, 0.5) * around
         mean = np.minimum(np.maximum(mean, -self._mean_max), self._mean_max)
         spread = np.minimum(around**2, _SPREAD_LIMIT**2 * np.maximum(state.variance, self._floor_squared))
         variance = state.variance + min(rate * dt_s / _SPREAD_S, 0.5) * (spread - state.variance)
