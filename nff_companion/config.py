@@ -21,6 +21,8 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[link]``."""
 
     endpoint: str
+    more_endpoints: list[str] = []
+    autopilot: Literal["auto", "nff", "ardupilot", "px4"] = "auto"
     rate_hz: Annotated[float, msgspec.Meta(ge=25, le=1000)] = 200.0
     stream_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=2)] = 0.25
     component: Annotated[int, msgspec.Meta(ge=191, le=194)] = 191
@@ -39,6 +41,7 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mode: ModeName = "allocate"
     allocation: str = "trim"
     status_socket: str = ""
+    state_folder: str = ""
 
 
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -62,6 +65,12 @@ def default_status_socket() -> str:
     return str(Path(folder.split(":")[0]) / "nff-companion.sock")
 
 
+def default_state_folder() -> str:
+    """Where what must survive a crash is kept."""
+    folder = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME") or "/var/lib/nff-companion"
+    return folder.split(":")[0]
+
+
 def load(path: Path) -> Config:
     """Read a configuration file. Raises ConfigError naming the key, its value and what is allowed."""
     try:
@@ -70,5 +79,6 @@ def load(path: Path) -> Config:
         raise ConfigError(f"configuration {path} cannot be read: {error.strerror}") from error
     except (msgspec.ValidationError, msgspec.DecodeError) as error:
         raise ConfigError(f"configuration {path}: {error}") from error
-    parse(config.link.endpoint)
+    for url in (config.link.endpoint, *config.link.more_endpoints):
+        parse(url)
     return config

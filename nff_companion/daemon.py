@@ -6,20 +6,26 @@ import gc
 import logging
 import select
 import signal
-import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nff_companion import host
 from nff_companion import vehicle as vehicle_model
-from nff_companion.autopilots.nff_dialect import NffDialectAdapter
-from nff_companion.config import MODES, Config, default_status_socket
-from nff_companion.errors import EndpointError, NffError
-from nff_companion.link.codec import Codec, Message, dialect, has_fast_crc
-from nff_companion.link.endpoint import Endpoint, open_endpoint
+from nff_companion.autopilots.base import Adapter, Stream
+from nff_companion.autopilots.meeting import Meeting
+from nff_companion.autopilots.streams import StreamMonitor, interval
+from nff_companion.config import MODES, Config, default_state_folder, default_status_socket
+from nff_companion.errors import NffError
+from nff_companion.link.codec import Message, dialect, has_fast_crc
+from nff_companion.link.hub import Hub
+from nff_companion.link.timesync import TimeSync
 from nff_companion.notify import Notifier
+from nff_companion.parameter_server import ParameterServer
+from nff_companion.pilot_text import PilotText
 from nff_companion.pipeline import Mode, Output, Pipeline
 from nff_companion.reporting import Reporter
 from nff_companion.status_server import StatusServer
@@ -27,8 +33,8 @@ from nff_companion.status_server import StatusServer
 log = logging.getLogger("nff")
 
 _IDLE_S = 0.05  # longest wait for a datagram: the watchdog and the heartbeat come from this loop
-_RECONNECT_S = 1.0
-_STREAM_REQUEST_S = 1.0
+_HEARTBEAT_S = 1.0
+_HOST_S = 2.0
 
 
 class Daemon:
@@ -38,21 +44,28 @@ class Daemon:
         self._config, self._notifier, self._clock = config, notifier, clock
         self.vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
         self.pipeline = Pipeline(self.vehicle, config.link.rate_hz, config.pipeline_options())
-        self._codec = Codec(1, config.link.component)
-        self._endpoint: Endpoint | None = open_endpoint(config.link.endpoint)
-        self._adapter: NffDialectAdapter | None = None
-        self._status = StatusServer(config.companion.status_socket or default_status_socket(), self._request)
+        folder = Path(config.companion.state_folder or default_state_folder())
+        self._meeting = Meeting(
+            self.vehicle, config.link.autopilot, config.companion.allocation, folder / "parameters.journal"
+        )
         self._poll = select.poll()
+        urls = [config.link.endpoint, *config.link.more_endpoints]
+        self._hub = Hub(urls, 1, config.link.component, self._poll, clock())
+        self._adapter: Adapter | None = None
+        self._port: int | None = None  # of the hub, where the autopilot is heard
+        self._status = StatusServer(config.companion.status_socket or default_status_socket(), self._request)
         self._poll.register(self._status.fileno(), select.POLLIN)
-        self._poll.register(self._endpoint.fileno(), select.POLLIN)
         self._stopping = False
         self._last_sample = -np.inf
         self._lost = True
         self._adopted = False
-        self._heard: dict[int, float] = {}  # message id to its last arrival
         self._output: Output | None = None
+        self._streams = StreamMonitor()
+        self._sync = TimeSync()
+        self._text = PilotText()
+        self._parameters = ParameterServer(self.pipeline, config.link.component, self._set_mode)
         self.reporter = Reporter(self.vehicle, self.pipeline)
-        self._next_heartbeat = self._next_watchdog = self._next_request = self._next_reconnect = -np.inf
+        self._next_heartbeat = self._next_watchdog = self._next_host = self._next_look = -np.inf
         if not has_fast_crc():
             log.warning("fastcrc is not installed: parsing takes four times as long; pip install fastcrc")
 
@@ -81,8 +94,9 @@ class Daemon:
     def turn(self, wait_s: float) -> None:
         """Once round the loop: wait for input, handle it, then what is due."""
         for descriptor, _ in self._poll.poll(1e3 * wait_s):
-            if self._endpoint is not None and descriptor == self._endpoint.fileno():
-                self._read()
+            if self._hub.owns(descriptor):
+                for message, port in self._hub.read(descriptor, self._clock()):
+                    self._take(message, port)
             elif descriptor == self._status.fileno():
                 self._status.accept()
                 for connection in self._status.connections():
@@ -94,27 +108,29 @@ class Daemon:
                         self._status.serve(connection)
         self._periodic(self._clock())
 
-    def _read(self) -> None:
-        assert self._endpoint is not None
-        try:
-            for data in self._endpoint.receive():
-                for message in self._codec.parse(data):
-                    self._take(message)
-        except EndpointError as error:
-            self._drop_endpoint(error)
-
-    def _take(self, message: Message) -> None:
+    def _take(self, message: Message, port: int) -> None:
+        kind = message.get_type()
+        if kind == "TIMESYNC" or kind.startswith("PARAM_"):
+            answers = (
+                self._sync.observe(message, time.monotonic_ns())
+                if kind == "TIMESYNC"
+                else self._parameters.answer(message)
+            )
+            self._send_all(answers, port)
         if message.get_srcComponent() != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
-        if self._adapter is None:
-            if message.get_type() != "HEARTBEAT":
-                return
-            self._meet(message.get_srcSystem())
+        if self._adapter is None and (kind != "HEARTBEAT" or not self._meet(message, port)):
+            return
         adapter = self._adapter
         assert adapter is not None
         if message.get_srcSystem() != adapter.target[0]:
             return
-        self._heard[message.get_msgId()] = self._clock()
+        self._port = port
+        other = self._meeting.better(adapter, message.get_msgId())
+        if other is not None:
+            adapter = self._adapter = other
+            log.info("autopilot speaks our dialect")
+        self._streams.heard(message.get_msgId(), self._clock())
         sample = adapter.observe(message)
         if sample is None:
             return
@@ -123,7 +139,7 @@ class Daemon:
             # After a restart in flight the autopilot knows better than we do what has been declared.
             self._adopted = True
             self.pipeline.adopt(adapter.applied.failed)
-        self.pipeline.blocked = adapter.blocked(sample.time_s)
+        self.pipeline.blocked = adapter.blocked(sample.time_s, self.pipeline.mode)
         override = self.pipeline.respond(sample)
         if override is not None:
             self._send(adapter.drive(override, sample.time_s))
@@ -143,87 +159,85 @@ class Daemon:
                 event.effectiveness,
                 event.confidence,
             )
-            self._send(self.reporter.event_message(event))
-            self._send(self.reporter.text_message(event))
+            self._send(self.reporter.event_message(event), everywhere=True)
+            self._say(*self.reporter.text_of(event))
 
-    def _meet(self, system: int) -> None:
+    def _meet(self, heartbeat: Message, port: int) -> bool:
         """The first autopilot heard is ours: adopt its system id."""
-        self._codec.system = system
-        self._adapter = NffDialectAdapter(self.vehicle, (system, dialect.MAV_COMP_ID_AUTOPILOT1))
-        log.info("autopilot found: system %d", system)
+        system = heartbeat.get_srcSystem()
+        target = (system, dialect.MAV_COMP_ID_AUTOPILOT1)
+        adapter = self._meeting.first(target, heartbeat.autopilot)
+        if adapter is None:
+            self._say(f"NFF: autopilot {heartbeat.autopilot} is not supported", dialect.MAV_SEVERITY_ERROR)
+            return False
+        self._adapter, self._port = adapter, port
+        self._hub.set_system(system)
+        self._parameters.adopt(system)
+        log.info("autopilot found: system %d, adapter %s", system, adapter.name)
+        # An autopilot that knows our dialect obeys this, every other refuses it.
+        self._send(interval(Stream(dialect.MAVLINK_MSG_ID_NFF_APPLIED, 20.0), target))
+        return True
 
-    def _send(self, message: Message) -> None:
-        if self._endpoint is None:
-            return
-        try:
-            self._endpoint.send(self._codec.pack(message))
-        except EndpointError as error:
-            self._drop_endpoint(error)
-        except struct.error as error:
-            # A value that its field cannot hold: said, counted, not sent.
-            self.reporter.unsendable += 1
-            log.error("%s cannot be packed: %s", message.get_type(), error)
+    def _send(self, message: Message, *, everywhere: bool = False) -> None:
+        self._hub.send(message, None if everywhere else self._port, self._clock())
 
-    def _drop_endpoint(self, error: EndpointError) -> None:
-        log.error("%s; trying again every %.0f s", error, _RECONNECT_S)
-        if self._endpoint is not None:
-            self._poll.unregister(self._endpoint.fileno())
-            self._endpoint.close()
-        self._endpoint = None
-        self._next_reconnect = self._clock() + _RECONNECT_S
+    def _send_all(self, messages: Iterable[Message], port: int | None) -> None:
+        for message in messages:
+            self._hub.send(message, port, self._clock())
+
+    def _say(self, text: str, severity: int) -> None:
+        self._send_all(self._text.say(text, severity, self._clock()), None)
 
     # -- between samples ----------------------------------------------------------------------------------------
 
     def _periodic(self, now: float) -> None:
+        adapter = self._adapter
         if not self._lost and now - self._last_sample > self._config.link.stream_timeout_s:
             self._lost = True
             self._output = self.pipeline.stream_lost(f"telemetry stopped for {now - self._last_sample:.2f} s")
             self.reporter.silent(self._output)
             log.error("telemetry stopped: observing")
-        if now >= self._next_heartbeat:
-            self._next_heartbeat = now + 1.0
-            self._send(self.reporter.heartbeat())
-        for message in self.reporter.due(now, self._codec.bad_frames, self._adapter):
-            self._send(message)
-        if self._adapter is not None and now >= self._next_request:
-            self._next_request = now + _STREAM_REQUEST_S
-            self._request_streams(self._adapter)
+            self._say("NFF: telemetry stopped, observing", dialect.MAV_SEVERITY_ERROR)
+        if now >= self._next_heartbeat and not self.pipeline.fault:
+            # A companion whose estimator fails falls silent: whoever relies on it must see that.
+            self._next_heartbeat = now + _HEARTBEAT_S
+            self._send(self.reporter.heartbeat(), everywhere=True)
+        self._send_all(self.reporter.due(now, self._hub.bad_frames, adapter), None)
+        if now >= self._next_host:
+            self._next_host = now + _HOST_S
+            self._send(host.status_message(), everywhere=True)
+        if adapter is not None:
+            self._send_all(adapter.tick(now), self._port)
+            self._send_all(self._sync.tick(time.monotonic_ns()), self._port)
+            streams = adapter.streams(self._config.link.rate_hz)
+            self._send_all(self._streams.requests(streams, adapter.target, now), self._port)
+            self._look(adapter, streams, now)
         if now >= self._next_watchdog:
             self._next_watchdog = now + (self._notifier.watchdog_interval_s or 1.0)
             self._notifier.watchdog()
             self._notifier.status(self.reporter.line())
-        if self._endpoint is None and now >= self._next_reconnect:
-            self._next_reconnect = now + _RECONNECT_S
-            try:
-                self._endpoint = open_endpoint(self._config.link.endpoint)
-                self._poll.register(self._endpoint.fileno(), select.POLLIN)
-            except EndpointError as error:
-                log.error("%s", error)
+        self._hub.maintain(now)
 
-    def _request_streams(self, adapter: NffDialectAdapter) -> None:
-        """Ask for what is needed as long as it does not come, or not fast enough."""
-        slow = self.reporter.rate_hz < 0.8 * self._config.link.rate_hz
-        now = self._clock()
-        for stream in adapter.streams(self._config.link.rate_hz):
-            silent = now - self._heard.get(stream.message_id, -np.inf) > _STREAM_REQUEST_S
-            if not (slow or silent):
-                continue
-            self._send(
-                dialect.MAVLink_command_long_message(
-                    *adapter.target,
-                    dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-                    0,
-                    float(stream.message_id),
-                    1e6 / stream.rate_hz,
-                    0.0,
-                    0.0,
-                    0.0,
-                    0.0,
-                    0.0,
-                )
-            )
+    def _look(self, adapter: Adapter, streams: list[Stream], now: float) -> None:
+        """What the pilot should know of link and adapter, now and then."""
+        if now < self._next_look:
+            return
+        self._next_look = now + 1.0
+        self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now)
+        for name, (rate, asked) in self.reporter.slow_streams.items():
+            self._say(f"NFF: {name} {rate:.0f} Hz, {asked:.0f} needed"[:50], dialect.MAV_SEVERITY_WARNING)
+        for text in adapter.complaints():
+            self._say(f"NFF: {text}"[:50], dialect.MAV_SEVERITY_WARNING)
+        if adapter.telemetry is not None:
+            self.pipeline.describe_telemetry(adapter.telemetry)
 
     # -- operator -----------------------------------------------------------------------------------------------
+
+    def _set_mode(self, mode: Mode) -> None:
+        if self._adapter is not None and mode == Mode.OBSERVE and self._output is not None:
+            self._send_all(self._adapter.release(self._output.time_s), self._port)
+        self.pipeline.set_mode(mode)
+        log.warning("operator set mode %s", mode.name.lower())
 
     def _request(self, request: dict[str, Any]) -> dict[str, Any]:
         command = request.get("command", "status")
@@ -238,27 +252,37 @@ class Daemon:
                 name = str(request["mode"])
                 if name not in MODES:
                     return {"error": f"mode {name!r} is unknown: choose one of {', '.join(MODES)}"}
-                if self._adapter is not None and MODES[name] == Mode.OBSERVE and self._output is not None:
-                    for message in self._adapter.release(self._output.time_s):
-                        self._send(message)
-                self.pipeline.set_mode(MODES[name])
-                log.warning("operator set mode %s", name)
+                self._set_mode(MODES[name])
             elif command != "status":
                 return {"error": f"command {command!r} is unknown: status, lift or mode"}
         except (KeyError, ValueError, TypeError, OverflowError) as error:
             return {"error": f"bad request: {error}"}
         age = self._clock() - self._last_sample
-        return self.reporter.document(self._codec.bad_frames, self._adapter, None if np.isinf(age) else age)
+        self.reporter.unsendable = self._hub.unsendable
+        document = self.reporter.document(self._hub.bad_frames, self._adapter, None if np.isinf(age) else age)
+        trip = self._sync.round_trip_s
+        document["round_trip_ms"] = None if trip is None else round(1e3 * trip, 2)
+        return document
 
     def close(self) -> None:
         """Give the vehicle back (confirmed declarations stay) and close."""
         self._notifier.stopping()
-        if self._adapter is not None and self._output is not None:
-            for message in self._adapter.release(self._output.time_s):
-                self._send(message)
+        if self._adapter is not None:
+            self._leave(self._adapter)
         self._status.close()
-        if self._endpoint is not None:
-            self._endpoint.close()
+        self._hub.close()
+
+    def _leave(self, adapter: Adapter) -> None:
+        """Commands of the end; an adapter that must see them confirmed gets a moment for it."""
+        time_s = 0.0 if self._output is None else self._output.time_s
+        self._send_all(adapter.release(time_s), self._port)
+        deadline = self._clock() + adapter.farewell_s
+        while adapter.unfinished and self._clock() < deadline:
+            for descriptor, _ in self._poll.poll(20.0):
+                if self._hub.owns(descriptor):
+                    for message, _port in self._hub.read(descriptor, self._clock()):
+                        adapter.observe(message)
+            self._send_all(adapter.tick(self._clock()), self._port)
 
 
 def run(config: Config) -> int:

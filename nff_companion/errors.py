@@ -27,3 +27,11 @@ class SolverError(NffError, ArithmeticError):
 
 class MissingExtra(NffError, ImportError):
     """An optional package is not installed."""
+
+
+class TunnelError(NffError, ValueError):
+    """A message between the companion and the applet cannot be encoded or understood."""
+
+
+class JournalError(NffError, OSError):
+    """The journal of changed parameters cannot be written or read."""

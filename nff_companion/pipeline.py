@@ -22,7 +22,7 @@ from nff_companion.estimation.decision import Event
 from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState
 from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
 from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
+from nff_companion.vehicle import TelemetryTable, Vehicle
 
 # Beyond what any vehicle survives: such a sample is a fault of the sensor or of the link.
 _GYRO_MAX_RAD_S, _FORCE_MAX_M_S2, _TIME_MAX_S = 60.0, 400.0, 1e8
@@ -103,6 +103,7 @@ class Pipeline:
         self._refusal = ""
         self._blind = ""  # why override cannot close the loop
         self.blocked = ""  # set from outside: why nothing may be sent
+        self.fault = ""  # why the estimator itself failed; empty again when it has worked for a while
         self._last_output: Output | None = None
         self._hold: Reference | None = None
         self._integral = np.zeros(3)
@@ -118,6 +119,24 @@ class Pipeline:
         """The operator's wish; what is in effect also depends on the telemetry."""
         self.mode = mode
         self._hold = None
+
+    def retune(self, options: EstimatorOptions) -> bool:
+        """Other thresholds, from the next flight on; False in flight, when nothing changes."""
+        if self._state is not None:
+            return False
+        self.options = msgspec.structs.replace(self.options, estimator=options)
+        self.estimator = Estimator(self.vehicle, self.dt_s, options)
+        return True
+
+    def describe_telemetry(self, telemetry: TelemetryTable) -> bool:
+        """The autopilot's filters, where it says them; False in flight, when nothing changes."""
+        if telemetry == self.vehicle.telemetry:
+            return True
+        if self._state is not None:
+            return False
+        self.vehicle = self.vehicle.with_telemetry(telemetry)
+        self.estimator = Estimator(self.vehicle, self.dt_s, self.options.estimator)
+        return True
 
     def adopt(self, failed: np.ndarray) -> None:
         """Take over declarations (m,) bool that the autopilot already holds (after a restart)."""
@@ -202,9 +221,12 @@ class Pipeline:
             )
         except (SolverError, np.linalg.LinAlgError) as error:
             self._restart()
-            return self._bad(time_s, f"estimator: {error}")
+            self.fault = f"estimator: {error}"
+            return self._bad(time_s, self.fault)
         self._failed = estimate.failed
         self._trouble = "" if time_s - self._good_since_s >= self.options.recover_s else "recovering"
+        if not self._trouble:
+            self.fault = ""
         self._disturbance = estimate.disturbance
         self._replan(time_s, estimate)
         return self._output(time_s, estimate, estimate.events, override)

@@ -29,6 +29,7 @@ class Reporter:
         self.samples = 0
         self.commands_sent = 0
         self.unsendable = 0
+        self.slow_streams: dict[str, tuple[float, float]] = {}  # name to rate heard and asked
         self._durations: deque[float] = deque(maxlen=_WINDOW)
         self._arrivals: deque[float] = deque(maxlen=_WINDOW)
         self._output: Output | None = None
@@ -134,8 +135,8 @@ class Reporter:
             round(1e6 * event.time_s), event.motor, int(event.declared), event.effectiveness, event.confidence
         )
 
-    def text_message(self, event: Event) -> Message:
-        """STATUSTEXT for the pilot."""
+    def text_of(self, event: Event) -> tuple[str, int]:
+        """Text and severity for the pilot."""
         if event.declared:
             output = self._output
             observing = output is None or output.mode == Mode.OBSERVE
@@ -144,7 +145,7 @@ class Reporter:
         else:
             text = f"Motor {event.motor} works again"
         severity = dialect.MAV_SEVERITY_CRITICAL if event.declared else dialect.MAV_SEVERITY_WARNING
-        return dialect.MAVLink_statustext_message(severity, text.encode())
+        return text, int(severity)
 
     # -- monitor ------------------------------------------------------------------------------------------------
 
@@ -187,6 +188,7 @@ class Reporter:
             "unallocated": None if output is None else [round(float(v), 4) for v in output.unallocated],
             "rate_hz": round(self.rate_hz, 1),
             "step_us": round(self.step_us, 1),
+            "slow_streams": {n: {"hz": round(h, 1), "asked_hz": a} for n, (h, a) in self.slow_streams.items()},
             "sample_age_s": None if sample_age_s is None else round(sample_age_s, 3),
             "counters": {
                 "samples": self.samples,
@@ -199,6 +201,7 @@ class Reporter:
             "autopilot": None
             if applied is None
             else {
+                "adapter": "" if adapter is None else adapter.name,
                 "allocation": SOURCES[applied.source] if applied.source < len(SOURCES) else str(applied.source),
                 "failed": [] if applied.failed is None else [int(i) + 1 for i in np.flatnonzero(applied.failed)],
                 "refused": applied.refused,

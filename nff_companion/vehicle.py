@@ -176,6 +176,13 @@ class Vehicle:
         c = self.command
         return np.clip((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0, 1.0)
 
+    def with_telemetry(self, telemetry: TelemetryTable) -> Vehicle:
+        """The same airframe behind other filters."""
+        other = object.__new__(Vehicle)
+        other.__dict__.update(self.__dict__)
+        other.telemetry = telemetry
+        return other
+
     def renumbered(self, quarter_turns: int) -> Vehicle:
         """The same airframe with its nose turned by quarter turns and its motors numbered on by as many places.
 

@@ -118,7 +118,7 @@ def test_an_armed_autopilot_with_fewer_motors_than_the_airframe_is_not_believed(
 
 def test_an_autopilot_that_does_not_answer_is_not_commanded(octo: Vehicle) -> None:
     adapter = NffDialectAdapter(octo, (1, 1))
-    assert "NFF_APPLIED" in adapter.blocked(10.0)
+    assert "NFF_APPLIED" in adapter.blocked(10.0, Mode.ALLOCATE)
     adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, *[0] * 12))
-    assert adapter.blocked(10.5) == ""
-    assert "NFF_APPLIED" in adapter.blocked(11.5)
+    assert adapter.blocked(10.5, Mode.ALLOCATE) == ""
+    assert "NFF_APPLIED" in adapter.blocked(11.5, Mode.ALLOCATE)

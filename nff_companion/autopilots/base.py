@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from nff_companion.link.codec import Message
-from nff_companion.pipeline import Output
+from nff_companion.pipeline import Mode, Output
 from nff_companion.telemetry import Sample
+from nff_companion.vehicle import TelemetryTable
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,11 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Stream:
-    """A message that the companion needs, and how often."""
+    """A message that the companion asks for, and how often; ``required``: flying without it is said to the pilot."""
 
     message_id: int
     rate_hz: float
+    required: bool = True
 
 
 @dataclass(slots=True)
@@ -44,8 +46,25 @@ class Applied:
 class Adapter(Protocol):
     """Observe, act, release. Knows messages, not sockets; time is the autopilot's."""
 
+    target: tuple[int, int]
     capabilities: Capabilities
     applied: Applied
+
+    @property
+    def name(self) -> str:
+        """One word for status and logs."""
+
+    @property
+    def telemetry(self) -> TelemetryTable | None:
+        """Filters of what this autopilot sends; None: as the airframe file says."""
+
+    @property
+    def farewell_s(self) -> float:
+        """Longest time that the end of a run may take."""
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether something of ours is still in force that must not stay."""
 
     def streams(self, rate_hz: float) -> list[Stream]:
         """Messages to ask for."""
@@ -56,8 +75,14 @@ class Adapter(Protocol):
     def act(self, output: Output) -> list[Message]:
         """Commands that put ``output`` into force, to be sent now."""
 
-    def blocked(self, time_s: float) -> str:
-        """Why no command may be sent at ``time_s`` of the autopilot's clock; empty when one may."""
+    def tick(self, now_s: float) -> list[Message]:
+        """Messages that are due whether or not telemetry comes; ``now_s`` of our clock."""
+
+    def blocked(self, time_s: float, mode: Mode) -> str:
+        """Why no command may be sent in ``mode`` at ``time_s`` of the autopilot's clock; empty when one may."""
+
+    def complaints(self) -> list[str]:
+        """What the pilot should hear, in a few words each."""
 
     def drive(self, outputs: np.ndarray, time_s: float) -> Message:
         """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""

@@ -25,11 +25,15 @@ _OUTPUTS = 16
 class NffDialectAdapter:
     """One vehicle. ``target`` is the autopilot's (system, component)."""
 
-    capabilities = Capabilities(declare=True, matrix=True, outputs=True)
+    name = "nff"
+    telemetry = None
+    farewell_s = 0.0
+    unfinished = False
 
     def __init__(self, vehicle: Vehicle, target: tuple[int, int]) -> None:
         self._vehicle, self.target = vehicle, target
         self._decoder = TelemetryDecoder(vehicle)
+        self.capabilities = Capabilities(declare=True, matrix=True, outputs=True)
         self.applied = Applied()
         self._sequence = 0
         self._declared_sequence = 0
@@ -71,7 +75,15 @@ class NffDialectAdapter:
             return None
         return self._decoder.observe(message)
 
-    def blocked(self, time_s: float) -> str:
+    def tick(self, now_s: float) -> list[Message]:
+        """Nothing is due without telemetry."""
+        return []
+
+    def complaints(self) -> list[str]:
+        """Nothing but what ``blocked`` says."""
+        return []
+
+    def blocked(self, time_s: float, mode: Mode) -> str:
         """Why no command may be sent at ``time_s``: an autopilot that does not answer does not obey either."""
         if abs(time_s - self._applied_s) <= _ANSWER_MAX_S:
             return ""

@@ -5,18 +5,20 @@
 | ``udpin:host:port`` | bind, answer whoever sent last |
 | ``udpout:host:port`` | send to host:port, receive its answers |
 | ``tcp:host:port``, ``tcpout:`` | connect |
+| ``tcpin:host:port`` | listen, one client at a time |
 | ``/dev/ttyAMA0:921600``, ``serial:/dev/ttyAMA0:921600`` | serial port and baud |
+| ``/dev/ttyAMA0:921600,460800`` | the same; the next baud is tried while nothing readable arrives |
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from nff_companion.errors import ConfigError
 
-KINDS = ("udpin", "udpout", "tcp", "serial")
+KINDS = ("udpin", "udpout", "tcp", "tcpin", "serial")
 
 
 class Endpoint(Protocol):
@@ -39,11 +41,12 @@ class Endpoint(Protocol):
 
 @dataclass(frozen=True)
 class Url:
-    """A parsed endpoint URL; ``number`` is the port or the baud rate."""
+    """A parsed endpoint URL; ``number`` is the port or the (first) baud rate, ``bauds`` all of them."""
 
     kind: str
     host: str
     number: int
+    bauds: tuple[int, ...] = ()
 
 
 def parse(url: str) -> Url:
@@ -51,22 +54,25 @@ def parse(url: str) -> Url:
     text = url.strip()
     if text.startswith("/"):
         text = f"serial:{text}"
-    match = re.fullmatch(r"([a-z]+):(?://)?(.+):(\d+)", text)
+    match = re.fullmatch(r"([a-z]+):(?://)?(.+):(\d+(?:,\d+)*)", text)
     if match is None:
         raise ConfigError(
             f"endpoint {url!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}"
         )
-    kind, host, number = match.group(1), match.group(2), int(match.group(3))
+    kind, host = match.group(1), match.group(2)
+    numbers = tuple(int(text) for text in match.group(3).split(","))
     kind = {"tcpout": "tcp", "udp": "udpin"}.get(kind, kind)
     if kind not in KINDS:
         raise ConfigError(f"endpoint {url!r}: kind {kind!r} is unknown; choose one of {', '.join(KINDS)}")
-    if kind != "serial" and not 0 < number < 65536:
-        raise ConfigError(f"endpoint {url!r}: port {number} is not between 1 and 65535")
-    return Url(kind, host, number)
+    if kind == "serial":
+        return Url(kind, host, numbers[0], numbers)
+    if len(numbers) > 1 or not 0 < numbers[0] < 65536:
+        raise ConfigError(f"endpoint {url!r}: {match.group(3)} is not one port between 1 and 65535")
+    return Url(kind, host, numbers[0])
 
 
-def open_endpoint(url: str) -> Endpoint:
-    """Open the endpoint. Raises ConfigError, EndpointError."""
+def open_endpoint(url: str, baud: int | None = None) -> Endpoint:
+    """Open the endpoint, a serial port with ``baud`` of its list. Raises ConfigError, EndpointError."""
     parsed = parse(url)
     if parsed.kind in ("udpin", "udpout"):
         from nff_companion.link.udp import Udp
@@ -76,6 +82,10 @@ def open_endpoint(url: str) -> Endpoint:
         from nff_companion.link.tcp import Tcp
 
         return Tcp(url, parsed)
+    if parsed.kind == "tcpin":
+        from nff_companion.link.tcp import TcpServer
+
+        return TcpServer(url, parsed)
     from nff_companion.link.serial_port import SerialPort
 
-    return SerialPort(url, parsed)
+    return SerialPort(url, parsed if baud is None else replace(parsed, number=baud))

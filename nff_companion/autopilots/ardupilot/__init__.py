@@ -1,0 +1,1 @@
+"""Stock ArduPilot, with our Lua applet on the autopilot's side."""

@@ -1,0 +1,108 @@
+-- What goes through TUNNEL between the companion and the applet. The layout is described in tunnel.py, which has the
+-- same functions; every message is encoded to the same bytes by both.
+-- Integers stay below 2^31: integers of this Lua have 32 bits.
+
+local P = {}
+
+P.VERSION = 1
+P.TUNNEL = 385
+P.TO_AUTOPILOT = 54100
+P.TO_COMPANION = 54101
+P.FACTOR_SCALE = 4096
+P.END = 0xA5
+
+P.HEARTBEAT, P.TABLE, P.DECLARATION, P.MATRIX, P.RELEASE, P.OVERRIDE = 1, 2, 3, 4, 5, 6
+P.APPLIED, P.STORED = 129, 130
+
+P.REFUSALS = { "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported" }
+
+local TUNNEL_PAYLOAD = 128
+local HEAD = 12 -- bytes of mavlink_message_t before its payload
+
+-- fixed part after version and kind; field names in order; what repeats after it, and how often
+local LAYOUT = {
+  [P.HEARTBEAT] = { "<HB", { "sequence", "mode" } },
+  [P.TABLE] = { "<HHBB", { "sequence", "failed", "flags", "motors" }, "factors", "i2", 4 },
+  [P.DECLARATION] = { "<HI4H", { "sequence", "sample_ms", "failed" } },
+  [P.MATRIX] = {
+    "<HI4HHBB", { "sequence", "sample_ms", "timeout_ms", "failed", "flags", "motors" }, "factors", "i2", 4,
+  },
+  [P.RELEASE] = { "<HI4", { "sequence", "sample_ms" } },
+  [P.OVERRIDE] = { "<HI4HB", { "sequence", "sample_ms", "timeout_ms", "motors" }, "pwm", "I2", 1 },
+  [P.APPLIED] = {
+    "<HI4I4HHHHBBBBHHHHHHHH",
+    {
+      "sequence", "time_ms", "boot_ms", "declaration_sequence", "matrix_sequence", "override_sequence", "failed",
+      "source", "flags", "motors", "tables", "accepted",
+      "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported",
+    },
+  },
+  [P.STORED] = { "<HHH", { "sequence", "failed", "check" } },
+}
+
+-- Fields of one message as a string.
+function P.pack(kind, fields)
+  local layout = LAYOUT[kind]
+  local values = {}
+  for i, name in ipairs(layout[2]) do
+    values[i] = fields[name]
+  end
+  local out = string.pack("<BB", P.VERSION, kind) .. string.pack(layout[1], table.unpack(values))
+  if layout[3] then
+    out = out .. fields[layout[3]]
+  end
+  return out .. string.char(P.END)
+end
+
+-- Fields of one message, nil when it is none of ours. What repeats stays a string: it is unpacked when it is used.
+function P.unpack(data)
+  if #data < 3 or data:byte(1) ~= P.VERSION or data:byte(#data) ~= P.END then
+    return nil
+  end
+  local layout = LAYOUT[data:byte(2)]
+  if not layout or #data < 3 + string.packsize(layout[1]) then
+    return nil
+  end
+  local fields = { kind = data:byte(2) }
+  local values = { string.unpack(layout[1], data, 3) }
+  for i, name in ipairs(layout[2]) do
+    fields[name] = values[i]
+  end
+  local rest = data:sub(values[#values], #data - 1)
+  if layout[3] then
+    if #rest ~= fields.motors * layout[5] * string.packsize("<" .. layout[4]) then
+      return nil
+    end
+    fields[layout[3]] = rest
+  elseif #rest > 0 then
+    return nil
+  end
+  return fields
+end
+
+-- Payload of a TUNNEL message.
+function P.tunnel(system, component, data)
+  return string.pack("<HBBB", P.TO_COMPANION, system, component, #data) .. data .. ("\0"):rep(TUNNEL_PAYLOAD - #data)
+end
+
+-- Fields and sender (system, component) of a received mavlink_message_t; nil when it is none of ours.
+-- The end mark is set by the sender: bytes that were cut off or left over do not go unseen.
+function P.open(message, own_system)
+  local payload_type, system, _, length = string.unpack("<HBBB", message, HEAD + 1)
+  if payload_type ~= P.TO_AUTOPILOT or system ~= own_system or length > TUNNEL_PAYLOAD then
+    return nil
+  end
+  local from_system, from_component = message:byte(8), message:byte(9)
+  return P.unpack(message:sub(HEAD + 6, HEAD + 5 + length)), from_system, from_component
+end
+
+-- Sum over bytes that tells tables apart.
+function P.check(data)
+  local sum = 1
+  for i = 1, #data do
+    sum = (sum * 31 + data:byte(i)) % 65521
+  end
+  return sum
+end
+
+return P

@@ -1,0 +1,87 @@
+"""Parameters of the autopilot, read one by one until all are known."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+from nff_companion.link.codec import Message, dialect
+
+_RETRY_S = 0.25
+_TRIES = 6
+_IN_FLIGHT = 5
+_INTEGERS = {
+    dialect.MAV_PARAM_TYPE_UINT8: "B",
+    dialect.MAV_PARAM_TYPE_INT8: "b",
+    dialect.MAV_PARAM_TYPE_UINT16: "H",
+    dialect.MAV_PARAM_TYPE_INT16: "h",
+    dialect.MAV_PARAM_TYPE_UINT32: "I",
+    dialect.MAV_PARAM_TYPE_INT32: "i",
+}
+
+
+def name_of(message: Message) -> str:
+    """Parameter name of a PARAM_* message."""
+    text = message.param_id
+    return text.decode(errors="replace").rstrip("\0") if isinstance(text, bytes) else str(text).rstrip("\0")
+
+
+def decode(value: float, kind: int, *, bytewise: bool) -> float:
+    """Value of a PARAM_VALUE: PX4 puts the bytes of an integer into the float, ArduPilot its value."""
+    if bytewise and kind in _INTEGERS:
+        raw = struct.pack("<f", value)
+        return float(struct.unpack_from(f"<{_INTEGERS[kind]}", raw)[0])
+    return float(value)
+
+
+def encode(value: float, kind: int, *, bytewise: bool) -> float:
+    """The float that carries ``value`` in a PARAM_SET."""
+    if bytewise and kind in _INTEGERS:
+        raw = struct.pack(f"<{_INTEGERS[kind]}", round(value)).ljust(4, b"\0")
+        return float(struct.unpack("<f", raw)[0])
+    return float(value)
+
+
+class ParameterReader:
+    """Asks for ``names`` until each has been answered or is known to be absent. Time is any monotonic clock."""
+
+    def __init__(self, names: Iterable[str], target: tuple[int, int], *, bytewise: bool) -> None:
+        self._target, self._bytewise = target, bytewise
+        self._wanted = {name: (0, -float("inf")) for name in names}  # tries, time of the last
+        self.values: dict[str, float] = {}
+        self.kinds: dict[str, int] = {}
+
+    def observe(self, message: Message) -> str | None:
+        """Take a PARAM_VALUE; its name when it is one of ours."""
+        name = name_of(message)
+        if name not in self._wanted:
+            return None
+        self.values[name] = decode(message.param_value, message.param_type, bytewise=self._bytewise)
+        self.kinds[name] = message.param_type
+        return name
+
+    def again(self, name: str) -> None:
+        """Forget a value: it will be asked for anew."""
+        self.values.pop(name, None)
+        self._wanted[name] = (0, -float("inf"))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every parameter was answered or is absent."""
+        return all(name in self.values or tries >= _TRIES for name, (tries, _) in self._wanted.items())
+
+    @property
+    def absent(self) -> list[str]:
+        """Parameters that the autopilot does not answer for."""
+        return [n for n, (tries, _) in self._wanted.items() if n not in self.values and tries >= _TRIES]
+
+    def tick(self, now_s: float) -> list[Message]:
+        """Requests that are due."""
+        out: list[Message] = []
+        for name, (tries, last) in self._wanted.items():
+            if name in self.values or tries >= _TRIES:
+                continue
+            if now_s - last >= _RETRY_S and len(out) < _IN_FLIGHT:
+                self._wanted[name] = (tries + 1, now_s)
+                out.append(dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1))
+        return out

@@ -1,0 +1,312 @@
+"""Adapter for stock PX4: a failed motor is told by its thrust coefficient, CA_ROTORn_CT.
+
+Parameters outlive a power cycle, so what they were is in a journal on disk before the first one is changed, and they
+are restored when the vehicle disarms, when the companion ends on the ground, and at its next start on the ground. In
+the air nothing is restored: a dead motor stays told as dead until the vehicle has landed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nff_companion.autopilots.base import Applied, Capabilities, Stream
+from nff_companion.autopilots.parameters import ParameterReader, encode
+from nff_companion.autopilots.px4.journal import Entry, Journal
+from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, disagreement, geometry_of
+from nff_companion.autopilots.px4.versions import behaviour, version_of
+from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.errors import JournalError
+from nff_companion.link.codec import Message, dialect
+from nff_companion.pipeline import Mode, Output
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import TelemetryTable, Vehicle
+
+_RATE_MAX_HZ = 250.0
+_RESEND_S = 0.05
+_VERSION_INTERVAL_S = 0.5
+_CHANGE_MIN = 0.15  # of a motor's effectiveness: each change wears the parameter storage
+_CHANGE_INTERVAL_S = 1.0
+_MOTOR_FUNCTION = 100  # PWM_MAIN_FUNCn of motor n, less n
+_DEAD = 0.05  # a CT below this share of what it was counts as declared dead
+_HEARD_MAX_S = 1.5
+_SUFFIXES = ("PX", "PY", "PZ", "AX", "AY", "AZ", "CT", "KM")
+_REAL = int(dialect.MAV_PARAM_TYPE_REAL32)
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+class Px4Adapter:
+    """One vehicle. ``target`` is the autopilot's (system, component)."""
+
+    name = "px4"
+    farewell_s = 2.0
+
+    def __init__(self, vehicle: Vehicle, target: tuple[int, int], journal: Path) -> None:
+        self._vehicle, self.target = vehicle, target
+        self.capabilities = Capabilities(declare=True, matrix=False, outputs=False)
+        self.applied = Applied()
+        self._decoder = TelemetryDecoder(vehicle)
+        rotors = [f"CA_ROTOR{i}_{suffix}" for i in range(vehicle.motors) for suffix in _SUFFIXES]
+        others = ["CA_ROTOR_COUNT", "CA_METHOD", "MC_AIRMODE", "THR_MDL_FAC"]
+        functions = [f"PWM_MAIN_FUNC{i}" for i in range(1, vehicle.motors + 1)]
+        self.parameters = ParameterReader([*rotors, *others, *functions], target, bytewise=True)
+        self._journal = Journal(journal)
+        self._autopilot = ""  # unique id, once known
+        self._version: tuple[int, int, int] | None = None
+        self._next_version_s = -np.inf
+        self._found: dict[str, float] = {}  # CT and KM as they were before us
+        self._advisor: Advisor | None = None
+        self._trouble = ""
+        self._note = ""
+        self._armed: bool | None = None
+        self._heard_s = -np.inf
+        self._wanted: dict[str, float] = {}  # parameters that are not yet confirmed, in the order to send
+        self._sent_s = -np.inf
+        self._journaled = False
+        self._leaving = False
+        self._target_effectiveness = np.ones(vehicle.motors)
+        self._refused_for: np.ndarray | None = None
+        self._changed_s = -np.inf
+
+    # -- telemetry ----------------------------------------------------------------------------------------------
+
+    @property
+    def telemetry(self) -> TelemetryTable | None:
+        """HIGHRES_IMU is made from integrated samples, in front of PX4's filters."""
+        return TelemetryTable(0.0, 0.0)
+
+    def streams(self, rate_hz: float) -> list[Stream]:
+        """Messages to ask for. Intervals of more than 4 ms come at half the rate: 250 Hz is asked for."""
+        ids = dialect
+        rate = _RATE_MAX_HZ if rate_hz > 0.5 * _RATE_MAX_HZ else rate_hz
+        return [
+            Stream(ids.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, rate),
+            Stream(ids.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, rate),
+            Stream(ids.MAVLINK_MSG_ID_HIGHRES_IMU, rate),
+            Stream(ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 50.0, required=False),
+            Stream(ids.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, required=False),
+        ]
+
+    def observe(self, message: Message) -> Sample | None:
+        """Telemetry, parameters, version."""
+        kind = message.get_type()
+        if kind == "PARAM_VALUE":
+            self._parameter(message)
+            return None
+        if kind == "AUTOPILOT_VERSION":
+            self._version = version_of(message.flight_sw_version)
+            uid2 = bytes(getattr(message, "uid2", b"")[:18])
+            self._autopilot = f"{message.uid:016x}-{uid2.hex()}"
+            return None
+        if kind == "HEARTBEAT":
+            was, self._armed = self._armed, bool(message.base_mode & _ARMED)
+            if was and not self._armed:
+                self._restore()
+        return self._decoder.observe(message)
+
+    def _parameter(self, message: Message) -> None:
+        name = self.parameters.observe(message)
+        if name is None:
+            return
+        wanted = self._wanted.get(name)
+        if wanted is not None and np.isclose(self.parameters.values[name], wanted, rtol=1e-5, atol=1e-6):
+            del self._wanted[name]
+        if self._found:
+            self._note_applied()
+
+    def _note_applied(self) -> None:
+        values = self.parameters.values
+        share = [
+            values[f"CA_ROTOR{i}_CT"] / self._found[f"CA_ROTOR{i}_CT"] if self._found[f"CA_ROTOR{i}_CT"] else 1.0
+            for i in range(self._vehicle.motors)
+        ]
+        failed = np.abs(np.array(share)) < _DEAD
+        self.applied.failed = failed
+        self.applied.source = int(failed.any())
+
+    # -- start --------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Everything is known: what was found, and what an earlier run left behind."""
+        values = self.parameters.values
+        motors = self._vehicle.motors
+        try:
+            left = self._journal.read(self._autopilot)
+            if int(values.get("CA_ROTOR_COUNT", 0)) != motors:
+                self._trouble = (
+                    f"CA_ROTOR_COUNT is {values.get('CA_ROTOR_COUNT', 0):.0f}, the airframe has {motors} motors"
+                )
+                return
+            mine = [f"CA_ROTOR{i}_{s}" for i in range(motors) for s in ("CT", "KM")]
+            found = {name: values[name] for name in mine}
+            found.update({entry.name: entry.value for entry in left if entry.name in found})
+            geometry = geometry_of({**values, **found}, motors)
+        except (JournalError, KeyError) as error:
+            self._trouble = str(error) if isinstance(error, JournalError) else f"PX4 does not answer for {error}"
+            return
+        self._trouble = disagreement(geometry, self._vehicle) or self._wrong_output()
+        if self._trouble:
+            return
+        self._found, self._journaled = found, bool(left)
+        self._advisor = Advisor(self._vehicle, geometry)
+        self._note_applied()
+        if left and self._armed is False:
+            self._restore()
+        elif left:
+            # Back in the air: what was told stays told, and is not told again.
+            share = [values[f"CA_ROTOR{i}_CT"] / (found[f"CA_ROTOR{i}_CT"] or 1.0) for i in range(motors)]
+            self._target_effectiveness = np.clip(np.array(share), 0.0, 1.0)
+
+    def _wrong_output(self) -> str:
+        """The first output that drives another motor than its number says; empty when all are in order."""
+        for motor in range(1, self._vehicle.motors + 1):
+            function = self.parameters.values.get(f"PWM_MAIN_FUNC{motor}")
+            if function is not None and function != _MOTOR_FUNCTION + motor:
+                return f"PWM_MAIN_FUNC{motor} is {function:.0f}, motor {motor} needs {_MOTOR_FUNCTION + motor}"
+        return ""
+
+    # -- parameters ---------------------------------------------------------------------------------------------
+
+    def _tell(self, effectiveness: np.ndarray, *, yaw_released: bool) -> None:
+        """Want the parameters of this remedy; the yaw release first, so that every part of the burst can fly."""
+        assert self._found
+        wanted: dict[str, float] = {}
+        for i in range(self._vehicle.motors):
+            name = f"CA_ROTOR{i}_KM"
+            wanted[name] = 0.0 if yaw_released else self._found[name]
+        for i, share in enumerate(effectiveness):
+            name = f"CA_ROTOR{i}_CT"
+            wanted[name] = self._found[name] * float(share)
+        values = self.parameters.values
+        self._wanted = {
+            n: v for n, v in wanted.items() if not np.isclose(values.get(n, np.nan), v, rtol=1e-5, atol=1e-6)
+        }
+        self._sent_s = -np.inf
+
+    def _restore(self) -> None:
+        if self._found:
+            self._target_effectiveness = np.ones(self._vehicle.motors)
+            self._refused_for = None
+            self._tell(self._target_effectiveness, yaw_released=False)
+
+    def _original(self) -> bool:
+        values = self.parameters.values
+        return all(np.isclose(values[n], v, rtol=1e-5, atol=1e-6) for n, v in self._found.items())
+
+    def _sets(self, now_s: float) -> list[Message]:
+        """PARAM_SET for everything not yet confirmed, again every 50 ms."""
+        if not self._wanted or now_s - self._sent_s < _RESEND_S:
+            return []
+        self._sent_s = now_s
+        return [
+            dialect.MAVLink_param_set_message(
+                *self.target,
+                name.encode(),
+                encode(value, self.parameters.kinds.get(name, _REAL), bytewise=True),
+                self.parameters.kinds.get(name, _REAL),
+            )
+            for name, value in self._wanted.items()
+        ]
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether something is changed that could be restored now."""
+        return bool(self._found) and self._armed is False and (self._journaled or bool(self._wanted))
+
+    def tick(self, now_s: float) -> list[Message]:
+        """Version and parameters until they are known; what is wanted until it is confirmed."""
+        out: list[Message] = []
+        if self._version is None:
+            if now_s >= self._next_version_s:
+                self._next_version_s = now_s + _VERSION_INTERVAL_S
+                out.append(
+                    dialect.MAVLink_command_long_message(
+                        *self.target,
+                        dialect.MAV_CMD_REQUEST_MESSAGE,
+                        0,
+                        float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+                        *[0.0] * 6,
+                    )
+                )
+            return out
+        out += self.parameters.tick(now_s)
+        if self._advisor is None and not self._trouble and self.parameters.complete and self._armed is not None:
+            self._begin()
+        out += self._sets(now_s)
+        if self._journaled and not self._wanted and self._armed is False and self._found and self._original():
+            try:
+                self._journal.clear()
+                self._journaled = False
+            except JournalError as error:
+                self._note = str(error)
+        return out
+
+    # -- commands -----------------------------------------------------------------------------------------------
+
+    def complaints(self) -> list[str]:
+        """What stands in the way, and a declaration that may not be sent."""
+        return [text for text in (self._trouble, self._note) if text]
+
+    def blocked(self, time_s: float, mode: Mode) -> str:
+        """Why nothing may be sent; empty when something may."""
+        if self._version is None:
+            return "waiting for PX4's version"
+        known = behaviour(self._version)
+        if known is None or not known.scales:
+            version = ".".join(str(part) for part in self._version)
+            return f"PX4 {version}: what it does with a declared motor is not known here; observing"
+        if self._trouble:
+            return self._trouble
+        if self._advisor is None:
+            return "reading PX4's parameters"
+        if mode == Mode.OVERRIDE:
+            return "PX4 takes no motor outputs over MAVLink: use mode allocate"
+        return ""
+
+    def act(self, output: Output) -> list[Message]:
+        """Tell what the motors still give, when it has changed and PX4's allocator would fly with it."""
+        if output.mode == Mode.OBSERVE or not output.flying or self._advisor is None or not self._armed:
+            return []
+        believed = np.where(output.failed, 0.0, np.where(output.degraded, np.clip(output.effectiveness, 0.1, 1.0), 1.0))
+        change = np.abs(believed - self._target_effectiveness)
+        declared = bool(((believed == 0.0) != (self._target_effectiveness == 0.0)).any())
+        waited = abs(output.time_s - self._changed_s) >= _CHANGE_INTERVAL_S
+        if not declared and (change.max() < _CHANGE_MIN or not waited):
+            return []
+        if self._refused_for is not None and bool((self._refused_for == believed).all()):
+            return []
+        remedy = self._advisor.remedy(believed)
+        self._changed_s = output.time_s
+        if isinstance(remedy, NoRemedy):
+            self._refused_for = believed
+            self._note = f"not told to PX4: {remedy.reason}"
+            return []
+        try:
+            self._write_journal()
+        except JournalError as error:
+            self._note = str(error)
+            return []
+        self._refused_for, self._note = None, "yaw given up" if remedy.yaw_released else ""
+        self._target_effectiveness = believed
+        self._tell(remedy.effectiveness, yaw_released=remedy.yaw_released)
+        sets = self._sets(np.inf)
+        self._sent_s = -np.inf
+        return sets
+
+    def _write_journal(self) -> None:
+        if self._journaled:
+            return
+        entries = [Entry(n, v, self.parameters.kinds.get(n, _REAL)) for n, v in self._found.items()]
+        self._journal.write(self._autopilot, entries)
+        self._journaled = True
+
+    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
+        """Never called: outputs are no capability of PX4."""
+        raise NotImplementedError("PX4 takes no motor outputs over MAVLink")
+
+    def release(self, time_s: float) -> list[Message]:
+        """On the ground everything is restored; in the air declarations stay."""
+        if self._armed is False:
+            self._restore()
+        return []

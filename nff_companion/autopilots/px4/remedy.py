@@ -1,0 +1,154 @@
+"""What to tell PX4 about failed motors, and whether its allocator would fly with it.
+
+Telling it the truth is not always right: with both motors of a 90-degree same-spin pair of an octorotor told dead, the
+minimum-norm hover solution has a negative motor and the desaturation takes the collective to zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nff_companion.autopilots.px4 import allocator
+from nff_companion.autopilots.px4.allocator import Geometry
+from nff_companion.vehicle import Vehicle
+
+_THRUST_RESERVE = 1.0  # largest thrust over weight that the told allocator must reach
+_BIAS_MAX = 0.03  # of an axis' full torque left over at hover
+_STEP = 0.05  # torque demand to probe with
+_RESPONSE_MIN, _RESPONSE_MAX = 0.35, 2.5  # of the healthy vehicle's answer to it
+_CROSS_MAX = 0.6  # what it does to the other of roll and pitch, against the wanted
+_YAW_RESPONSE_MIN = 0.2
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the vehicle would do. Torques in shares of each axis' full torque; ``response`` over the healthy one's."""
+
+    collective: float | None  # thrust setpoint at hover, None: it cannot hover
+    thrust_ratio: float  # largest thrust over weight
+    bias: np.ndarray  # (3,) torque left over at hover
+    response: np.ndarray  # (3,) least over both directions
+    cross: float
+
+    def fault(self, *, yaw: bool) -> str:
+        """Why it must not be triggered; empty when it may."""
+        if self.collective is None or self.thrust_ratio < _THRUST_RESERVE:
+            return f"its allocator would give at most {self.thrust_ratio:.2f} of the weight"
+        if np.abs(self.bias[:2]).max() > _BIAS_MAX or (yaw and abs(self.bias[2]) > _BIAS_MAX):
+            return f"torque of {np.abs(self.bias).max():.2f} would be left over at hover"
+        low, high = float(self.response[:2].min()), float(self.response[:2].max())
+        if low < _RESPONSE_MIN or high > _RESPONSE_MAX or self.cross > _CROSS_MAX:
+            return f"roll or pitch would answer with {low:.2f} of what is wanted"
+        if yaw and self.response[2] < _YAW_RESPONSE_MIN:
+            return f"yaw would answer with {self.response[2]:.2f} of what is wanted"
+        return ""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """``effectiveness`` (m,) to scale each CT with, and whether every KM is set to 0."""
+
+    effectiveness: np.ndarray
+    yaw_released: bool
+
+
+@dataclass(frozen=True)
+class NoRemedy:
+    """Nothing may be told, and why."""
+
+    reason: str
+
+
+class Advisor:
+    """For one vehicle whose true motors are our model's, and PX4's ``geometry`` as it was configured."""
+
+    def __init__(self, vehicle: Vehicle, geometry: Geometry) -> None:
+        self._vehicle, self._geometry = vehicle, geometry
+        ones = np.ones(vehicle.motors)
+        mix = allocator.mix_matrix(geometry)
+        found = self._hover(geometry, mix, ones)
+        self._healthy = None if found[0] is None else self._responses(geometry, mix, ones, found[0])
+
+    def _wrench(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray, demand: np.ndarray) -> np.ndarray:
+        """(4,) thrust, roll, pitch, yaw in normalised units of what the motors really give."""
+        return self._vehicle.effectiveness @ (true * allocator.allocate(mix, demand, geometry))
+
+    def _hover(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray) -> tuple[float | None, float]:
+        """Least collective that carries the weight, and the largest thrust over weight."""
+        collectives = np.linspace(0.0, 1.0, 101)
+        thrust = np.array([self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -c]))[0] for c in collectives])
+        enough = np.flatnonzero(thrust >= self._vehicle.hover)
+        largest = float(thrust.max()) / self._vehicle.hover
+        return (float(collectives[enough[0]]) if enough.size else None), largest
+
+    def _responses(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray, collective: float) -> np.ndarray:
+        """(3, 2, 3) change of torque to a demand on each axis in both directions."""
+        base = np.array([0, 0, 0, 0, 0, -collective], float)
+        at_rest = self._wrench(geometry, mix, true, base)
+        out = np.zeros((3, 2, 3))
+        for axis in range(3):
+            for k, sign in enumerate((1.0, -1.0)):
+                demand = base.copy()
+                demand[axis] = sign * _STEP
+                out[axis, k] = sign * (self._wrench(geometry, mix, true, demand) - at_rest)[1:]
+        return out
+
+    def predict(self, told: np.ndarray, true: np.ndarray, *, yaw_released: bool) -> Prediction:
+        """With CT scaled by ``told`` (m,) when the motors really are ``true`` (m,)."""
+        geometry = self._geometry.scaled(told, yaw_released=yaw_released)
+        mix = allocator.mix_matrix(geometry)
+        collective, ratio = self._hover(geometry, mix, true)
+        if collective is None or self._healthy is None:
+            return Prediction(collective, ratio, np.zeros(3), np.zeros(3), np.inf)
+        bias = self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -collective]))[1:]
+        now = self._responses(geometry, mix, true, collective)
+        healthy = np.array([self._healthy[i, :, i].mean() for i in range(3)])
+        response = np.array([now[i, :, i].min() / healthy[i] if healthy[i] else 1.0 for i in range(3)])
+        cross = max(
+            float(np.abs(now[a, :, b]).max()) / max(float(now[a, :, a].min()), 1e-9) for a, b in ((0, 1), (1, 0))
+        )
+        return Prediction(collective, ratio, bias, response, cross)
+
+    def remedy(self, effectiveness: np.ndarray) -> Remedy | NoRemedy:
+        """What to tell for true motor ``effectiveness`` (m,): the truth, or the truth without yaw, or nothing."""
+        reason = ""
+        for released in (False, True):
+            prediction = self.predict(effectiveness, effectiveness, yaw_released=released)
+            fault = prediction.fault(yaw=not released)
+            if not fault:
+                return Remedy(effectiveness.copy(), released)
+            reason = reason or fault
+        return NoRemedy(reason)
+
+
+def geometry_of(values: dict[str, float], motors: int) -> Geometry:
+    """Geometry from CA_* parameters. Raises KeyError for one that is missing."""
+
+    def column(*suffixes: str) -> np.ndarray:
+        return np.array([[values[f"CA_ROTOR{i}_{s}"] for s in suffixes] for i in range(motors)])
+
+    return Geometry(
+        position_m=column("PX", "PY", "PZ"),
+        axis=column("AX", "AY", "AZ"),
+        thrust_coefficient=column("CT")[:, 0],
+        moment_ratio=column("KM")[:, 0],
+        airmode=int(values.get("MC_AIRMODE", 0)),
+        desaturate=int(values.get("CA_METHOD", 2)) != 0,
+    )
+
+
+def disagreement(geometry: Geometry, vehicle: Vehicle) -> str:
+    """How PX4's rotors differ from the airframe file's; empty when they agree in place, order and spin."""
+    scale = np.abs(vehicle.position_m).max()
+    told = geometry.position_m[:, :2]
+    # PX4's place and scale are the user's; order and directions must be the same.
+    size = np.abs(told).max() or 1.0
+    for motor in range(vehicle.motors):
+        if np.abs(told[motor] / size - vehicle.position_m[motor] / scale).max() > 0.2:
+            return f"CA_ROTOR{motor} is not where the airframe file has motor {motor + 1}: check the motor order"
+        # KM is positive for a rotor that turns counter-clockwise.
+        if np.sign(geometry.moment_ratio[motor]) != np.sign(vehicle.spin[motor]):
+            return f"CA_ROTOR{motor}_KM turns the other way than motor {motor + 1} of the airframe file"
+    return ""
