@@ -35,3 +35,7 @@ class TunnelError(NffError, ValueError):
 
 class JournalError(NffError, OSError):
     """The journal of changed parameters cannot be written or read."""
+
+
+class FrameError(NffError, ValueError):
+    """A frame of a simulator link cannot be understood."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from nff_companion.link.codec import Codec, Message, dialect
 from nff_companion.link.endpoint import Endpoint, open_endpoint
+from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.commands import Commander
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.link_model import LinkModel, LinkOptions
@@ -51,7 +53,9 @@ class Server:
         system: int = 1,
         on_cycle: Callable[[Fleet], None] | None = None,
         on_message: Callable[[Message, float], None] | None = None,
+        card: Path | None = None,
     ) -> None:
+        """``card``: folder with scripts; then the vehicle is an ArduPilot to whoever speaks with it."""
         if fleet.vehicles != 1:
             raise ValueError(f"a server has one vehicle, not {fleet.vehicles}")
         self.fleet = fleet
@@ -68,6 +72,11 @@ class Server:
             )
             for k, url in enumerate(urls)
         ]
+        self.personality = (
+            None if card is None else ArduPilotPersonality(fleet, 0, card, self._commander.params, system)
+        )
+        if card is not None:
+            self.telemetry.makers.pop(dialect.MAVLINK_MSG_ID_NFF_APPLIED)
         self._on_cycle, self._on_message = on_cycle, on_message
         self.late_cycles = 0
 
@@ -90,6 +99,12 @@ class Server:
     def cycle(self) -> None:
         """One autopilot cycle: what has arrived, the step, what is due."""
         self._listen()
+        if self.personality is not None:
+            self.personality.step()
+            for channel, message in self.personality.outgoing():
+                for index, client in enumerate(self._clients):
+                    if channel in (index, -1):
+                        self._reply(client, message)
         self.fleet.step()
         if self._on_cycle is not None:
             self._on_cycle(self.fleet)
@@ -134,6 +149,8 @@ class Server:
         target = getattr(message, "target_system", self._commander.system)
         if target not in (0, self._commander.system):
             return
+        if self.personality is not None and message.get_type().startswith("NFF_"):
+            return
         handlers: dict[str, Callable[[_Client, Message], None]] = {
             "COMMAND_LONG": self._command,
             "COMMAND_INT": self._command,
@@ -144,6 +161,7 @@ class Server:
             "TIMESYNC": self._timesync,
             "SET_POSITION_TARGET_LOCAL_NED": self._position_target,
             "MISSION_REQUEST_LIST": self._mission_list,
+            "TUNNEL": self._tunnel,
             "NFF_ALLOCATION_MATRIX": self._matrix,
             "NFF_ACTUATOR_OVERRIDE": self._override,
             "NFF_MOTOR_DECLARATION": self._declaration,
@@ -217,6 +235,10 @@ class Server:
     def _mission_list(self, client: _Client, message: Message) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())
         self._reply(client, dialect.MAVLink_mission_count_message(*source, 0, message.mission_type))
+
+    def _tunnel(self, client: _Client, message: Message) -> None:
+        if self.personality is not None:
+            self.personality.receive(message, self._clients.index(client))
 
     # -- the companion's commands -------------------------------------------------------------------------------
 

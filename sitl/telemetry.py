@@ -44,10 +44,10 @@ def to_local(latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
 
 
 class Telemetry:
-    """Makes each message for vehicle 0 of a fleet; ``makers`` by message id."""
+    """Makes each message for one vehicle of a fleet; ``makers`` by message id."""
 
-    def __init__(self, fleet: Fleet) -> None:
-        self._fleet = fleet
+    def __init__(self, fleet: Fleet, vehicle: int = 0) -> None:
+        self._fleet, self._i = fleet, vehicle
         ids = dialect
         self.makers: dict[int, Callable[[], Message]] = {
             ids.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -85,33 +85,33 @@ class Telemetry:
         return self.time_usec // 1000
 
     def _heartbeat(self) -> Message:
-        armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if self._autopilot.armed[0] else 0
-        state = dialect.MAV_STATE_ACTIVE if self._autopilot.armed[0] else dialect.MAV_STATE_STANDBY
+        armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if self._autopilot.armed[self._i] else 0
+        state = dialect.MAV_STATE_ACTIVE if self._autopilot.armed[self._i] else dialect.MAV_STATE_STANDBY
         mode = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | dialect.MAV_MODE_FLAG_GUIDED_ENABLED | armed
         return dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_OCTOROTOR,
             dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
             mode,
-            _CUSTOM_MODE[Mode(int(self._autopilot.mode[0]))],
+            _CUSTOM_MODE[Mode(int(self._autopilot.mode[self._i]))],
             state,
             3,
         )
 
     def _sys_status(self) -> Message:
-        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[0]))
+        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[self._i]))
         return dialect.MAVLink_sys_status_message(
             _HEALTHY_SENSORS, _HEALTHY_SENSORS, _HEALTHY_SENSORS, 300, volts, -1, 80, 0, 0, 0, 0, 0, 0
         )
 
     def _battery(self) -> Message:
-        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[0]))
+        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[self._i]))
         return dialect.MAVLink_battery_status_message(0, 0, 0, 2500, [volts] + [65535] * 9, -1, -1, -1, 80)
 
     def _extended(self) -> Message:
-        flying = self._autopilot.mode[0] != Mode.GROUND
-        height = -float(self._fleet.sensors.measured.position_m[0, 2])
+        flying = self._autopilot.mode[self._i] != Mode.GROUND
+        height = -float(self._fleet.sensors.measured.position_m[self._i, 2])
         landed = dialect.MAV_LANDED_STATE_IN_AIR if flying and height > 0.3 else dialect.MAV_LANDED_STATE_ON_GROUND
-        if self._autopilot.mode[0] == Mode.LAND:
+        if self._autopilot.mode[self._i] == Mode.LAND:
             landed = dialect.MAV_LANDED_STATE_LANDING
         return dialect.MAVLink_extended_sys_state_message(0, landed)
 
@@ -120,20 +120,20 @@ class Telemetry:
         return dialect.MAVLink_home_position_message(*place, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
 
     def _gps(self) -> Message:
-        place = to_global(self._fleet.sensors.measured.position_m[0])
+        place = to_global(self._fleet.sensors.measured.position_m[self._i])
         return dialect.MAVLink_gps_raw_int_message(self.time_usec, 6, *place, 70, 90, 0, 0, 14)
 
     def _global_position(self) -> Message:
         measured = self._fleet.sensors.measured
-        place = to_global(measured.position_m[0])
-        velocity = [round(100 * float(v)) for v in measured.velocity_m_s[0]]
-        heading = round(100 * math.degrees(float(rotation.yaw_of(measured.quaternion[0])))) % 36000
-        above = round(-1e3 * float(measured.position_m[0, 2]))
+        place = to_global(measured.position_m[self._i])
+        velocity = [round(100 * float(v)) for v in measured.velocity_m_s[self._i]]
+        heading = round(100 * math.degrees(float(rotation.yaw_of(measured.quaternion[self._i])))) % 36000
+        above = round(-1e3 * float(measured.position_m[self._i, 2]))
         return dialect.MAVLink_global_position_int_message(self.time_ms, *place, above, *velocity, heading)
 
     def _attitude_euler(self) -> Message:
-        w, x, y, z = (float(v) for v in self._fleet.sensors.measured.quaternion[0])
-        rates = [float(v) for v in self._fleet.sensors.measured.gyro_rad_s[0]]
+        w, x, y, z = (float(v) for v in self._fleet.sensors.measured.quaternion[self._i])
+        rates = [float(v) for v in self._fleet.sensors.measured.gyro_rad_s[self._i]]
         roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
         pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -152,24 +152,24 @@ class Telemetry:
     def _attitude(self) -> Message:
         measured = self._fleet.sensors.measured
         return dialect.MAVLink_attitude_quaternion_message(
-            self.time_ms, *measured.quaternion[0].tolist(), *measured.gyro_rad_s[0].tolist(), [0.0] * 4
+            self.time_ms, *measured.quaternion[self._i].tolist(), *measured.gyro_rad_s[self._i].tolist(), [0.0] * 4
         )
 
     def _local_position(self) -> Message:
         measured = self._fleet.sensors.measured
         return dialect.MAVLink_local_position_ned_message(
-            self.time_ms, *measured.position_m[0].tolist(), *measured.velocity_m_s[0].tolist()
+            self.time_ms, *measured.position_m[self._i].tolist(), *measured.velocity_m_s[self._i].tolist()
         )
 
     def _position_target(self) -> Message:
         position = self._autopilot.position
-        yaw = float(rotation.yaw_of(self._autopilot.attitude.target[0]))
+        yaw = float(rotation.yaw_of(self._autopilot.attitude.target[self._i]))
         return dialect.MAVLink_position_target_local_ned_message(
             self.time_ms,
             dialect.MAV_FRAME_LOCAL_NED,
             0,
-            *position.path[0].tolist(),
-            *position.path_velocity[0].tolist(),
+            *position.path[self._i].tolist(),
+            *position.path_velocity[self._i].tolist(),
             0.0,
             0.0,
             0.0,
@@ -182,20 +182,20 @@ class Telemetry:
         return dialect.MAVLink_attitude_target_message(
             self.time_ms,
             0,
-            attitude.target[0].tolist(),
-            *attitude.target_rate[0].tolist(),
-            float(np.clip(self._autopilot.throttle[0], 0.0, 1.0)),
+            attitude.target[self._i].tolist(),
+            *attitude.target_rate[self._i].tolist(),
+            float(np.clip(self._autopilot.throttle[self._i], 0.0, 1.0)),
         )
 
     def _servos(self) -> Message:
         p = self._fleet.parameters
-        pwm = [round(float(v)) for v in p.pwm_min + (p.pwm_max - p.pwm_min) * self._autopilot.output[0]]
+        pwm = [round(float(v)) for v in p.pwm_min + (p.pwm_max - p.pwm_min) * self._autopilot.output[self._i]]
         pwm += [0] * (_SERVOS - len(pwm))
         return dialect.MAVLink_servo_output_raw_message(self.time_usec % 2**32, 0, *pwm[:8], *pwm[8:])
 
     def _esc_status(self) -> Message:
         p = self._fleet.parameters
-        speed = np.sqrt(self._fleet.state.thrust_n[0] / p.max_thrust_n[0]) * p.max_speed_rad_s
+        speed = np.sqrt(self._fleet.state.thrust_n[self._i] / p.max_thrust_n[self._i]) * p.max_speed_rad_s
         rpm = [round(float(v) * 60 / (2 * math.pi)) for v in speed[:4]] + [0] * max(0, 4 - len(speed))
         return dialect.MAVLink_esc_status_message(0, self.time_usec, rpm, [22.2] * 4, [0.0] * 4)
 
@@ -203,8 +203,8 @@ class Telemetry:
         measured = self._fleet.sensors.measured
         return dialect.MAVLink_highres_imu_message(
             self.time_usec,
-            *measured.specific_force_m_s2[0].tolist(),
-            *measured.gyro_rad_s[0].tolist(),
+            *measured.specific_force_m_s2[self._i].tolist(),
+            *measured.gyro_rad_s[self._i].tolist(),
             0.2,
             0.0,
             0.4,
@@ -216,7 +216,7 @@ class Telemetry:
         )
 
     def _applied(self) -> Message:
-        port = self._autopilot.ports[0]
+        port = self._autopilot.ports[self._i]
         mask = int((1 << np.flatnonzero(port.failed)).sum())
         refused = [min(v, 65535) for v in port.refused.values()]
         return dialect.MAVLink_nff_applied_message(
@@ -227,5 +227,5 @@ class Telemetry:
             mask,
             port.accepted,
             *refused,
-            int(self._autopilot.allocation[0]),
+            int(self._autopilot.allocation[self._i]),
         )

@@ -41,9 +41,38 @@ def sitl(
     corruption: Annotated[float, typer.Option(help="Corruption of datagrams in percent.")] = 0.0,
     seconds: Annotated[float, typer.Option(help="End after so long; 0: never.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
+    personality: Annotated[
+        str, typer.Option(help="plain, or ardupilot: stock messages, and our applet in a real Lua.")
+    ] = "plain",
+    serve_px4: Annotated[bool, typer.Option("--serve-px4", help="Be the physics of a real PX4, TCP 4560.")] = False,
+    serve_ardupilot: Annotated[
+        bool, typer.Option("--serve-ardupilot", help="Be the physics of a real ArduPilot, JSON on UDP 9002.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Emulate a vehicle that speaks MAVLink, in real time."""
+    """Emulate a vehicle that speaks MAVLink, in real time; or be the physics of a real autopilot."""
+    if serve_px4 and serve_ardupilot:
+        raise ConfigError("--serve-px4 and --serve-ardupilot exclude each other: one plant, one brain")
+    if personality not in ("plain", "ardupilot"):
+        raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
+    if serve_px4 or serve_ardupilot:
+        from nff_companion.trials.serve import ServeOptions, serve
+
+        setup_logging()
+        options_served = ServeOptions(
+            airframe=airframe,
+            thrust_to_weight=thrust_to_weight or None,
+            failures=parse_failures(fail or []),
+            wind_m_s=wind,
+            model_error=0.01 * model_error,
+            seconds=seconds,
+            seed=seed,
+        )
+        document = serve(options_served, px4=serve_px4, say=lambda text: console.print(text, highlight=False))
+        if json:
+            print_json(document)
+        return
     from nff_companion import vehicle
     from nff_companion.trials.demo import crash_report
     from sitl import airframe as plant_airframe
@@ -62,9 +91,16 @@ def sitl(
         model_error=0.01 * model_error,
         height_m=height,
     )
-    fleet = Fleet(plant_airframe.load(vehicle.path_of(airframe)), options, faults)
+    plant = plant_airframe.load(vehicle.path_of(airframe), thrust_to_weight=thrust_to_weight or None)
+    fleet = Fleet(plant, options, faults)
     link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
-    server = Server(fleet, urls, link=link, seed=seed)
+    card = None
+    if personality == "ardupilot":
+        from nff_companion.trials.wire import Workshop, temporary_card
+
+        card = temporary_card()
+        Workshop.prepare(vehicle.load(airframe, thrust_to_weight=thrust_to_weight or None), "trim", card.name)
+    server = Server(fleet, urls, link=link, seed=seed, card=None if card is None else Path(card.name))
     console.print(f"{airframe} on {', '.join(urls)}", highlight=False)
     try:
         server.run(seconds or float("inf"))
@@ -72,6 +108,8 @@ def sitl(
         console.print("stopped")
     finally:
         server.close()
+        if card is not None:
+            card.cleanup()
     if json:
         print_json(crash_report(fleet))
 

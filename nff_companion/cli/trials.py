@@ -27,6 +27,10 @@ def survey(
     speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     detector: Annotated[str, typer.Option(help="sparse, or the peer imm.")] = "sparse",
+    personality: Annotated[
+        str, typer.Option(help="plain, or ardupilot: on the wire, with our applet in a real Lua.")
+    ] = "plain",
+    thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
     workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
     json: Json = False,
 ) -> None:
@@ -38,8 +42,12 @@ def survey(
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
     if singles and pairs:
         raise ConfigError("--singles and --pairs exclude each other: run two surveys")
+    if personality not in ("plain", "ardupilot"):
+        raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
     options = surveys.SurveyOptions(
         airframe=airframe,
+        personality=personality,
+        thrust_to_weight=thrust_to_weight or None,
         seeds=seeds,
         rate_hz=rate,
         link_delay_s=1e-3 * link_delay,

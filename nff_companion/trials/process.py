@@ -12,14 +12,23 @@ _END_S = 5.0
 
 
 def config_text(
-    *, endpoint: str, airframe: str, mode: str, rate_hz: float, socket: Path, thrust_to_weight: float | None = None
+    *,
+    endpoint: str,
+    airframe: str,
+    mode: str,
+    rate_hz: float,
+    socket: Path,
+    thrust_to_weight: float | None = None,
+    state_folder: Path | None = None,
 ) -> str:
     """A configuration file."""
     ratio = "" if thrust_to_weight is None else f"thrust_to_weight = {thrust_to_weight}\n"
+    folder = "" if state_folder is None else f'state_folder = "{state_folder}"\n'
     return (
         f'[link]\nendpoint = "{endpoint}"\nrate_hz = {rate_hz}\n\n'
         f'[vehicle]\nairframe = "{airframe}"\n{ratio}\n'
         f'[companion]\nmode = "{mode}"\nstatus_socket = "{socket}"\n'
+        f"{folder}"
     )
 
 

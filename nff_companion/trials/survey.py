@@ -18,6 +18,7 @@ from nff_companion.pipeline import Mode, PipelineOptions
 from nff_companion.trials import healthy
 from nff_companion.trials.detectors import pipeline_factory
 from nff_companion.trials.virtual import Companion, VirtualFlight
+from nff_companion.trials.wire import WireCompanion, Workshop, temporary_card
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
@@ -43,6 +44,7 @@ class SurveyOptions:
     speed_m_s: float = 0.0
     mode: Mode = Mode.ALLOCATE
     detector: str = "sparse"
+    personality: str = "plain"
 
 
 @dataclass(slots=True)
@@ -84,6 +86,7 @@ def _described(options: SurveyOptions) -> dict[str, Any]:
         "speed_m_s": options.speed_m_s,
         "mode": options.mode.name.lower(),
         "detector": options.detector,
+        "personality": options.personality,
     }
 
 
@@ -105,8 +108,9 @@ def _spread(
 
 
 def _build(
-    options: SurveyOptions, seeds: list[int], faults: list[Fault], companions: list[int], **fleet: Any
+    options: SurveyOptions, seeds: list[int], faults: list[Fault], companions: list[int], card: str, **fleet: Any
 ) -> VirtualFlight:
+    """``card``: folder for the scripts of the ArduPilot personality."""
     nominal = plant_airframe.load(
         vehicle_model.path_of(options.airframe), vehicles=len(seeds), thrust_to_weight=options.thrust_to_weight
     )
@@ -118,6 +122,10 @@ def _build(
         height_m=HEIGHT_M,
         **fleet,
     )
+    workshop = None
+    if options.personality == "ardupilot":
+        model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
+        workshop = Workshop.prepare(model, PipelineOptions().allocation, card)
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
         {index: PipelineOptions(mode=options.mode) for index in companions},
@@ -126,6 +134,7 @@ def _build(
         rate_hz=options.rate_hz,
         link_delay_s=options.link_delay_s,
         make_pipeline=pipeline_factory(options.detector),
+        workshop=workshop,
     )
 
 
@@ -138,12 +147,13 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
         for index, (motors, _) in enumerate(both)
         for motor in motors
     ]
-    flight = _build(options, [seed for _, seed in both], faults, list(range(count)))
-    fleet = flight.fleet
-    if options.speed_m_s:
-        fleet.autopilot.position.goal_velocity[:, 0] = options.speed_m_s
-        fleet.autopilot.position.goal_velocity[:, 1] = 0.0
-    records = _record_until(flight, FAULT_AT_S, FAULT_AT_S + FLY_ON_S)
+    with temporary_card() as card:
+        flight = _build(options, [seed for _, seed in both], faults, list(range(count)), card)
+        fleet = flight.fleet
+        if options.speed_m_s:
+            fleet.autopilot.position.goal_velocity[:, 0] = options.speed_m_s
+            fleet.autopilot.position.goal_velocity[:, 1] = 0.0
+        records = _record_until(flight, FAULT_AT_S, FAULT_AT_S + FLY_ON_S)
     survived = ~fleet.state.crashed
     results = []
     for index, (motors, seed) in enumerate(flights):
@@ -170,9 +180,10 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
 
 def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], int]]) -> list[dict[str, Any]]:
     seeds = [seed for _, seed in flights]
-    flight = _build(options, seeds, [], list(range(len(seeds))), gusts=healthy.gusts(len(seeds)))
-    script = healthy.Script(flight.fleet)
-    records = _record_until(flight, 0.0, healthy.DURATION_S, script)
+    with temporary_card() as card:
+        flight = _build(options, seeds, [], list(range(len(seeds))), card, gusts=healthy.gusts(len(seeds)))
+        script = healthy.Script(flight.fleet)
+        records = _record_until(flight, 0.0, healthy.DURATION_S, script)
     results = []
     for index, seed in enumerate(seeds):
         events = _declarations(flight.companions[index])
@@ -193,7 +204,7 @@ def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], in
     return results
 
 
-def _declarations(companion: Companion) -> list[tuple[float, Event]]:
+def _declarations(companion: Companion | WireCompanion) -> list[tuple[float, Event]]:
     return [(time_s, event) for time_s, event in companion.events if event.declared]
 
 

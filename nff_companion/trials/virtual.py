@@ -5,10 +5,9 @@ The link between them delays; it does not encode (the wire has its own tests and
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Generic, Literal, TypeVar
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -16,34 +15,14 @@ from nff_companion import vehicle as vehicle_model
 from nff_companion.estimation.decision import Event
 from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
 from nff_companion.telemetry import Sample
+from nff_companion.trials.channel import Channel
+from nff_companion.trials.wire import WireCompanion, Workshop
 from sitl import rotation
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 
 MATRIX_TIMEOUT_S = 0.5
 OVERRIDE_TIMEOUT_S = 0.1
 MATRIX_INTERVAL_S = 0.05
-
-
-Item = TypeVar("Item")
-
-
-@dataclass(slots=True)
-class Channel(Generic[Item]):
-    """Messages under way, oldest first."""
-
-    delay_s: float
-    queue: deque[tuple[float, Item]] = field(default_factory=deque)
-
-    def send(self, now_s: float, message: Item) -> None:
-        """Put a message on the way."""
-        self.queue.append((now_s + self.delay_s, message))
-
-    def receive(self, now_s: float) -> list[Item]:
-        """Messages that have arrived."""
-        out: list[Item] = []
-        while self.queue and self.queue[0][0] <= now_s + 1e-9:
-            out.append(self.queue.popleft()[1])
-        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +82,21 @@ class VirtualFlight:
         rate_hz: float,
         link_delay_s: float,
         make_pipeline: Callable[[vehicle_model.Vehicle, float, PipelineOptions], Pipeline] = Pipeline,
+        workshop: Workshop | None = None,
     ) -> None:
+        """``workshop``: the companions meet ArduPilot with our applet on the wire; without it, the emulation itself."""
         self.fleet = fleet
         self._every = max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
         rate = AUTOPILOT_RATE_HZ / self._every
-        self.companions = [
-            Companion(index, make_pipeline(model, rate, options), link_delay_s) for index, options in companions.items()
-        ]
+        self.companions: list[Companion | WireCompanion] = []
+        for index, options in companions.items():
+            pipeline = make_pipeline(model, rate, options)
+            self.companions.append(
+                Companion(index, pipeline, link_delay_s)
+                if workshop is None
+                else WireCompanion(index, pipeline, fleet, rate, link_delay_s, workshop)
+            )
 
     def _sample(self, index: int) -> Sample:
         fleet = self.fleet
@@ -136,14 +122,20 @@ class VirtualFlight:
             index = companion.index
             if fleet.state.crashed[index]:
                 continue
+            if isinstance(companion, WireCompanion):
+                companion.autopilot_step()
+                continue
             for message in companion.up.receive(now):
                 self._deliver(index, message, now)
         fleet.step()
-        if fleet.cycle % self._every == 0:
-            now = fleet.time_s
-            for companion in self.companions:
-                if not fleet.state.crashed[companion.index]:
-                    companion.down.send(now, self._sample(companion.index))
+        now = fleet.time_s
+        for companion in self.companions:
+            if fleet.state.crashed[companion.index]:
+                continue
+            if isinstance(companion, WireCompanion):
+                companion.telemetry_step()
+            elif fleet.cycle % self._every == 0:
+                companion.down.send(now, self._sample(companion.index))
         for companion in self.companions:
             companion.think(fleet.time_s)
 

@@ -9,6 +9,7 @@ import numpy as np
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 from sitl.autopilot import mixer
+from sitl.autopilot.ardupilot.port import ScriptedPort
 from sitl.autopilot.attitude import AttitudeControl
 from sitl.autopilot.companion_port import CompanionPort
 from sitl.autopilot.position import PositionControl
@@ -48,6 +49,8 @@ class Autopilot:
         self.position = PositionControl(n, dt_s, hover)
         self.attitude = AttitudeControl(n, dt_s)
         self.ports = [CompanionPort(m) for _ in range(n)]
+        self.scripted: dict[int, ScriptedPort] = {}  # vehicles whose mixer factors and channels scripts reach
+        self.overridden: dict[int, ScriptedPort] = {}  # vehicles whose channels alone they reach
         self.armed = np.zeros(n, bool)
         self.mode = np.full(n, Mode.GROUND)
         self.allocation = np.full(n, Allocation.STOCK)
@@ -131,9 +134,18 @@ class Autopilot:
                 self.allocation[vehicle] = Allocation.OVERRIDE
             self._next_port_change_s = min(self._next_port_change_s, port.next_expiry_s)
 
+    def _read_scripts(self, now_s: float) -> None:
+        p = self._p
+        for vehicle, port in (*self.scripted.items(), *self.overridden.items()):
+            if vehicle in self.scripted and port.factors is not None:
+                self._factors[vehicle] = port.factors
+            self._override[vehicle] = (port.pwm_at(now_s) - p.pwm_min) / (p.pwm_max - p.pwm_min)
+
     def step(self, measured: Measured, now_s: float) -> np.ndarray:
         """One cycle of the loops; returns the motor outputs (N, m) in 0..1."""
         self._read_ports(now_s)
+        if self.scripted or self.overridden:
+            self._read_scripts(now_s)
         p = self._p
         flying = self.armed & (self.mode != Mode.GROUND)
         matrix = rotation.to_matrix(measured.quaternion)

@@ -190,7 +190,7 @@ handlers[P.DECLARATION] = function(fields, now)
     if matrix and matrix.failed ~= held then
       matrix = nil
     end
-    gcs:send_text(TEXT_WARNING, string.format("NFF: motors declared failed: mask %d", held))
+    gcs:send_text(TEXT_WARNING, string.format("NFF: failed mask %d at %d", held, now))
   end
   return nil
 end

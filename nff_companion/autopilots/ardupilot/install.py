@@ -1,0 +1,79 @@
+"""``nff ardupilot install``: scripts, the airframe's tables and a parameter file onto the autopilot's card."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from nff_companion.allocation import allocator, tables
+from nff_companion.autopilots.ardupilot import checks, factors
+from nff_companion.errors import ConfigError
+from nff_companion.vehicle import Vehicle
+
+SCRIPTS = ("nff_companion.lua", "nff_watchdog.lua")
+MODULES = ("nff_protocol.lua",)
+AIRFRAME = "nff_airframe.lua"
+PARAMETERS = "nff_companion.parm"
+
+
+def _source(*parts: str) -> bytes:
+    folder = resources.files("nff_companion") / "autopilots" / "ardupilot" / "lua"
+    for part in parts:
+        folder = folder / part
+    return folder.read_bytes()
+
+
+def airframe_module(vehicle: Vehicle, rows: dict[int, np.ndarray]) -> str:
+    """Lua module with what the scripts must know of the airframe; ``rows`` (m, 4) int16 by failed mask."""
+    command = vehicle.command
+    lines = [
+        f"-- {vehicle.name}: written by `nff ardupilot install`; factors as in nff_protocol.lua, by failed mask",
+        "return {",
+        f'  name = "{vehicle.name}",',
+        f"  motors = {vehicle.motors},",
+        f"  pwm_min = {command.pwm_min:.0f},",
+        f"  pwm_max = {command.pwm_max:.0f},",
+        "  tables = {",
+    ]
+    for mask, table in sorted(rows.items()):
+        text = "".join(f"\\x{byte:02x}" for byte in np.ascontiguousarray(table, "<i2").tobytes())
+        lines.append(f'    [{mask}] = "{text}",')
+    return "\n".join([*lines, "  },", "}", ""])
+
+
+def parameter_file(vehicle: Vehicle, *, scripted: bool) -> str:
+    """Parameters to load with a ground station; without ``scripted`` the frame stays and only outputs can be sent."""
+    lines = [
+        f"# nff-companion on {vehicle.name}: load, then reboot the autopilot",
+        "SCR_ENABLE 1",
+        "SCR_HEAP_SIZE 200000",
+        "SCR_VM_I_COUNT 100000",
+    ]
+    if scripted:
+        lines += [
+            "# the mixer's factors come from the applet; without it the vehicle does not arm",
+            "FRAME_CLASS 17",
+            "# bit 0: a reallocated vehicle must not trip the thrust-loss check",
+            "FLIGHT_OPTIONS 1",
+        ]
+        lines += [f"SERVO{m}_FUNCTION {checks.function_of(m)}" for m in range(1, vehicle.motors + 1)]
+    return "\n".join([*lines, ""])
+
+
+def install(vehicle: Vehicle, folder: Path, *, scripted: bool = True, method: str = "trim") -> list[Path]:
+    """Write everything into ``folder`` (the card's scripts directory); the files written. Raises ConfigError."""
+    plans = tables.compute(vehicle, allocator(method))
+    files = {folder / name: _source(name) for name in SCRIPTS}
+    files.update({folder / "modules" / name: _source("modules", name) for name in MODULES})
+    module = airframe_module(vehicle, factors.of_plans(vehicle, plans))
+    files[folder / "modules" / AIRFRAME] = module.encode()
+    files[folder / PARAMETERS] = parameter_file(vehicle, scripted=scripted).encode()
+    try:
+        (folder / "modules").mkdir(parents=True, exist_ok=True)
+        for path, data in files.items():
+            path.write_bytes(data)
+    except OSError as error:
+        raise ConfigError(f"{folder} cannot be written: {error.strerror}; give the card's scripts directory") from error
+    return list(files)

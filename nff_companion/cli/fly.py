@@ -1,0 +1,145 @@
+"""``nff fly`` and ``nff ardupilot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nff_companion.cli.output import console, print_json
+from nff_companion.config import MODES
+from nff_companion.errors import ConfigError
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+fly_app = typer.Typer(no_args_is_help=True, help="Fly real firmware in SITL, without and with the companion.")
+ardupilot_app = typer.Typer(no_args_is_help=True, help="The applet on an ArduPilot vehicle.")
+
+
+def _line(flight: dict[str, Any]) -> None:
+    failures = flight["options"]["failures"]
+    if "error" in flight:
+        console.print(f"motors {failures!s:9}: NOT FLOWN: {flight['error']}", highlight=False, soft_wrap=True)
+        return
+    parts = []
+    for name in ("baseline", "companion"):
+        if name in flight:
+            f = flight[name]
+            end = "CRASH" if f["crashed"] else "flies"
+            parts.append(
+                f"{name} {end}, tilt {f['max_tilt_deg']:.1f} deg, off {f['max_position_error_m']:.2f} m,"
+                f" height lost {f['height_lost_m']} m"
+            )
+    delays = [fault["delay_s"] for fault in flight["companion"]["faults"]]
+    console.print(f"motors {failures!s:9}: {'; '.join(parts)}; delays {delays}", highlight=False, soft_wrap=True)
+
+
+@fly_app.command("ardupilot")
+def ardupilot(
+    arducopter: Annotated[Path | None, typer.Option(help="arducopter SITL binary; or NFF_ARDUCOPTER.")] = None,
+    fail: Annotated[list[int] | None, typer.Option("--fail", help="Motor; several fail together.")] = None,
+    campaign: Annotated[str, typer.Option(help="singles, adjacent, pairs or healthy: every such set.")] = "",
+    wind: Annotated[float, typer.Option(help="Wind in m/s.")] = 5.0,
+    turbulence: Annotated[float, typer.Option(help="SIM_WIND_TURB.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="0: hover; else a square at this speed in m/s.")] = 0.0,
+    rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
+    mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
+    seconds: Annotated[float, typer.Option(help="Flown on after the failure.")] = 15.0,
+    baseline: Annotated[bool, typer.Option(help="Fly without the companion too.")] = True,
+    jobs: Annotated[int, typer.Option(help="Flights at a time.")] = 1,
+    json: Json = False,
+) -> None:
+    """Take off, hover or fly a square, fail motors, and compare."""
+    from nff_companion import vehicle
+    from nff_companion.trials.fly import arducopter as flights
+    from nff_companion.trials.fly import campaign as campaigns
+
+    if mode not in MODES:
+        raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
+    if campaign not in ("", "singles", "adjacent", "pairs", "healthy"):
+        raise ConfigError(f"campaign {campaign!r} is unknown: choose singles, adjacent, pairs or healthy")
+    options = flights.FlyOptions(
+        binary=flights.binary_from(arducopter),
+        failures=list(fail or ([] if campaign else [1])),
+        wind_m_s=wind,
+        turbulence=turbulence,
+        speed_m_s=speed,
+        rate_hz=rate,
+        mode=mode,
+        fly_on_s=seconds,
+    )
+    if campaign:
+        sets = campaigns.sets_of(campaign, vehicle.load(options.airframe))
+        document = campaigns.run(options, sets, baseline=baseline, jobs=jobs, say=_line)
+        for key, value in document["summary"].items():
+            console.print(f"{key}: {value}", highlight=False)
+    else:
+        document = flights.run(options, baseline=baseline)
+        _line(document)
+    if json:
+        print_json(document)
+
+
+@fly_app.command("px4")
+def px4(
+    px4: Annotated[Path | None, typer.Option(help="px4 SITL binary (bin/px4 of a build); or NFF_PX4.")] = None,
+    fail: Annotated[list[int] | None, typer.Option("--fail", help="Motor; several fail together.")] = None,
+    campaign: Annotated[str, typer.Option(help="singles, pairs or healthy: every such set.")] = "",
+    thrust_to_weight: Annotated[float, typer.Option(help="Of the vehicle.")] = 1.55,
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "px4-octo-x",
+    wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 0.0,
+    rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 250.0,
+    mode: Annotated[str, typer.Option(help="observe or allocate.")] = "allocate",
+    seconds: Annotated[float, typer.Option(help="Flown on after the failure.")] = 15.0,
+    seed: Annotated[int, typer.Option(help="Seed of the plant's wind and noise.")] = 1,
+    baseline: Annotated[bool, typer.Option(help="Fly without the companion too.")] = True,
+    json: Json = False,
+) -> None:
+    """Hold at 30 m on our plant, fail motors, and compare."""
+    from nff_companion import vehicle
+    from nff_companion.trials.fly import campaign as campaigns
+    from nff_companion.trials.fly import px4 as flights
+
+    if campaign not in ("", "singles", "adjacent", "pairs", "healthy"):
+        raise ConfigError(f"campaign {campaign!r} is unknown: choose singles, adjacent, pairs or healthy")
+    options = flights.FlyOptions(
+        binary=flights.binary_from(px4),
+        airframe=airframe,
+        thrust_to_weight=thrust_to_weight,
+        failures=list(fail or ([] if campaign else [3])),
+        wind_m_s=wind,
+        rate_hz=rate,
+        mode=mode,
+        fly_on_s=seconds,
+        seed=seed,
+    )
+    if campaign:
+        sets = campaigns.sets_of(campaign, vehicle.load(airframe))
+        document = campaigns.run_px4(options, sets, baseline=baseline, say=_line)
+        for key, value in document["summary"].items():
+            console.print(f"{key}: {value}", highlight=False)
+    else:
+        document = flights.run(options, baseline=baseline)
+        _line(document)
+    if json:
+        print_json(document)
+
+
+@ardupilot_app.command("install")
+def install(
+    to: Annotated[Path, typer.Option("--to", help="The card's scripts directory (APM/scripts).")],
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    outputs_only: Annotated[
+        bool, typer.Option("--outputs-only", help="Leave FRAME_CLASS as it is: only override mode can act.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Write scripts, the airframe's allocation tables and a parameter file."""
+    from nff_companion import vehicle
+    from nff_companion.autopilots.ardupilot.install import install as write
+
+    files = write(vehicle.load(airframe), to, scripted=not outputs_only)
+    for path in files:
+        console.print(str(path), highlight=False, soft_wrap=True)
+    if json:
+        print_json({"files": [str(path) for path in files]})

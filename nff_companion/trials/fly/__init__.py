@@ -1,0 +1,1 @@
+"""Flights on real firmware in its own simulator, or in our plant."""
