@@ -200,13 +200,13 @@ end
 -- Runs `script` once under the instruction limit; returns the next function and its delay, or nil and the error.
 function host_run(script, limit)
   local over = false
-  debug.sethook(function()
+  local thread = coroutine.create(script) -- with a hook of its own: it must not go on in here
+  debug.sethook(thread, function()
     over = true
-    debug.sethook(function() error("Exceeded CPU time") end, "", 1)
+    debug.sethook(thread, function() error("Exceeded CPU time") end, "", 1)
     error("Exceeded CPU time")
   end, "", limit)
-  local good, following, delay = pcall(script)
-  debug.sethook()
+  local good, following, delay = coroutine.resume(thread)
   if not good or over then
     return nil, over and "exceeded time limit" or tostring(following)
   end

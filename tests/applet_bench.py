@@ -1,0 +1,91 @@
+"""A vehicle in the air with the shipped applet in a real Lua, and a hand that sends it messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nff_companion import vehicle
+from nff_companion.autopilots.ardupilot import tunnel
+from nff_companion.autopilots.ardupilot.install import install
+from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage
+from nff_companion.link.codec import COMPANION_COMPONENT, Codec, dialect
+from nff_companion.vehicle import Vehicle
+from sitl import airframe
+from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+
+SYSTEM = 1
+
+
+class AppletBench:
+    """``send`` and ``fly``; what the applet answered is in ``heard``, newest last."""
+
+    def __init__(self, folder: Path, *, scripted: bool = True, height_m: float = 10.0) -> None:
+        self.vehicle: Vehicle = vehicle.load("octo-x")
+        install(self.vehicle, folder, scripted=scripted)
+        self.fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), FleetOptions(seeds=[1], height_m=height_m))
+        parameters = {"FRAME_CLASS": 17.0 if scripted else 3.0}
+        self.autopilot = ArduPilotPersonality(self.fleet, 0, folder, parameters, SYSTEM)
+        self._companion = Codec(SYSTEM, COMPANION_COMPONENT)
+        self._at_autopilot = Codec(SYSTEM, 1)
+        self.heard: list[TunnelMessage] = []
+        self.sequence = 0
+
+    @property
+    def now_ms(self) -> int:
+        return self.autopilot.millis()
+
+    @property
+    def applied(self) -> dict[str, int]:
+        return next(m.values for m in reversed(self.heard) if m.kind == Kind.APPLIED)
+
+    @property
+    def factors(self) -> np.ndarray:
+        assert self.autopilot.port.factors is not None
+        return self.autopilot.port.factors
+
+    @property
+    def pwm(self) -> np.ndarray:
+        return self.autopilot.port.pwm_at(self.fleet.time_s)
+
+    def send(self, message: TunnelMessage, *, system: int = SYSTEM, component: int = COMPANION_COMPONENT) -> None:
+        self.sequence = tunnel.following(self.sequence)
+        message.values.setdefault("sequence", self.sequence)
+        self.send_bytes(message.pack(), system=system, component=component)
+
+    def send_bytes(self, data: bytes, *, system: int = SYSTEM, component: int = COMPANION_COMPONENT) -> None:
+        codec = Codec(system, component)
+        frame = codec.pack(tunnel.wrap(data, (SYSTEM, 1)))
+        for received in self._at_autopilot.parse(frame):
+            self.autopilot.receive(received, 0)
+
+    def fly(self, seconds: float) -> None:
+        for _ in range(round(seconds * AUTOPILOT_RATE_HZ)):
+            self.autopilot.step()
+            for _channel, message in self.autopilot.outgoing():
+                if message.get_type() == "TUNNEL":
+                    inner = tunnel.unwrap(message)
+                    assert inner is not None
+                    self.heard.append(inner)
+            self.fleet.step()
+
+    # -- messages -----------------------------------------------------------------------------------------------
+
+    def heartbeat(self) -> None:
+        self.send(TunnelMessage(Kind.HEARTBEAT, {"mode": 1}))
+
+    def declare(self, mask: int, *, age_ms: int = 5) -> None:
+        self.send(TunnelMessage(Kind.DECLARATION, {"sample_ms": self.now_ms - age_ms, "failed": mask}))
+
+    def matrix(self, mask: int, factors: np.ndarray, *, timeout_ms: int = 500, age_ms: int = 5, **extra: int) -> None:
+        values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, "failed": mask, "flags": 0, **extra}
+        self.send(TunnelMessage(Kind.MATRIX, values, factors))
+
+    def override(self, pwm: np.ndarray, *, timeout_ms: int = 50, age_ms: int = 5, **extra: int) -> None:
+        values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, **extra}
+        self.send(TunnelMessage(Kind.OVERRIDE, values, pwm=pwm))
+
+
+__all__ = ["AppletBench", "Kind", "TunnelMessage", "dialect"]
