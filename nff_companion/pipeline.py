@@ -20,6 +20,7 @@ from nff_companion.errors import SolverError
 from nff_companion.estimation import sparse
 from nff_companion.estimation.decision import Event
 from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState
+from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import TelemetryTable, Vehicle
@@ -87,6 +88,8 @@ class Pipeline:
         self._phase = FlightPhase(vehicle, options.flight_phase)
         self._allocate = allocator(options.allocation)
         self._law = ControlLaw(vehicle)
+        self._speeds = RotorSpeedWatch(vehicle.motors)
+        self._speed_state = RotorSpeedState.start(vehicle.motors)
         m, n = vehicle.motors, vehicle.axes
         self._state: EstimatorState | None = None
         self._failed = np.zeros(m, bool)
@@ -217,7 +220,13 @@ class Pipeline:
             )
         try:
             self._state, estimate = self.estimator.step(
-                self._state, time_s, sample.gyro_rad_s, sample.specific_force_m_s2, command, gap
+                self._state,
+                time_s,
+                sample.gyro_rad_s,
+                sample.specific_force_m_s2,
+                command,
+                gap,
+                self._stopped(sample, command),
             )
         except (SolverError, np.linalg.LinAlgError) as error:
             self._restart()
@@ -231,6 +240,18 @@ class Pipeline:
         self._replan(time_s, estimate)
         return self._output(time_s, estimate, estimate.events, override)
 
+    def _stopped(self, sample: Sample, command: np.ndarray) -> np.ndarray | None:
+        """(m,) bool: motors that stand still by their rotor speeds; None where no speeds come."""
+        speed, read = sample.rotor_speed_rad_s, sample.rotor_speed_time_s
+        if speed is None or read is None or speed.shape != command.shape or read.shape != command.shape:
+            return None
+        return self._speeds.step(self._speed_state, sample.time_s, speed, read, command)
+
+    @property
+    def speed_faults(self) -> list[int]:
+        """Motors (from 1) whose speed reads zero while they pull: a fault of the speed sensor."""
+        return [int(i) + 1 for i in np.flatnonzero(self._speeds.faults(self._speed_state, self._failed))]
+
     def stream_lost(self, reason: str) -> Output:
         """To be called when telemetry stops: the state is dropped, the mode falls to observe."""
         self._restart()
@@ -240,6 +261,7 @@ class Pipeline:
         self._state = None
         self._hold = None
         self._last_s = None
+        self._speed_state = RotorSpeedState.start(self.vehicle.motors)
         self._planned_s = self._caught_s = self._declared_s = -np.inf
         self._low_since_s[:] = np.nan
 

@@ -28,3 +28,5 @@ class Sample:
     target_yaw_rad: float | None = None
     landed: bool | None = None  # by the autopilot's word; None: it does not say
     thrust: np.ndarray | None = None  # (m,)
+    rotor_speed_rad_s: np.ndarray | None = None  # (m,) NaN: no reading
+    rotor_speed_time_s: np.ndarray | None = None  # (m,) when each was read

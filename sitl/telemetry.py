@@ -48,6 +48,7 @@ class Telemetry:
 
     def __init__(self, fleet: Fleet, vehicle: int = 0) -> None:
         self._fleet, self._i = fleet, vehicle
+        self._groups: dict[str, int] = {}
         ids = dialect
         self.makers: dict[int, Callable[[], Message]] = {
             ids.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -65,6 +66,10 @@ class Telemetry:
             ids.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
             ids.MAVLINK_MSG_ID_NFF_APPLIED: self._applied,
             ids.MAVLINK_MSG_ID_ESC_STATUS: self._esc_status,
+            ids.MAVLINK_MSG_ID_ESC_INFO: self._esc_info,
+            ids.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: lambda: self._esc_telemetry(0),
+            ids.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8: lambda: self._esc_telemetry(4),
+            ids.MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12: lambda: self._esc_telemetry(8),
             ids.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servos,
             # Last: who waits for the inertial sample has the rest of the cycle.
             ids.MAVLINK_MSG_ID_HIGHRES_IMU: self._imu,
@@ -193,11 +198,38 @@ class Telemetry:
         pwm += [0] * (_SERVOS - len(pwm))
         return dialect.MAVLink_servo_output_raw_message(self.time_usec % 2**32, 0, *pwm[:8], *pwm[8:])
 
-    def _esc_status(self) -> Message:
+    def _rpm(self) -> np.ndarray:
+        """(m,) rotor speeds as ESCs would measure them."""
         p = self._fleet.parameters
         speed = np.sqrt(self._fleet.state.thrust_n[self._i] / p.max_thrust_n[self._i]) * p.max_speed_rad_s
-        rpm = [round(float(v) * 60 / (2 * math.pi)) for v in speed[:4]] + [0] * max(0, 4 - len(speed))
-        return dialect.MAVLink_esc_status_message(0, self.time_usec, rpm, [22.2] * 4, [0.0] * 4)
+        return np.round(speed * 60 / (2 * math.pi)).astype(int)
+
+    def _four(self, first: int) -> list[int]:
+        rpm = self._rpm()[first : first + 4].tolist()
+        return rpm + [0] * (4 - len(rpm))
+
+    def _next_group(self, name: str) -> int:
+        """Index of the first motor of the group of four whose turn it is."""
+        groups = (self._fleet.parameters.motors + 3) // 4
+        self._groups[name] = (self._groups.get(name, -1) + 1) % groups
+        return 4 * self._groups[name]
+
+    def _esc_status(self) -> Message:
+        first = self._next_group("status")
+        return dialect.MAVLink_esc_status_message(first, self.time_usec, self._four(first), [22.2] * 4, [0.0] * 4)
+
+    def _esc_info(self) -> Message:
+        first, motors = self._next_group("info"), self._fleet.parameters.motors
+        online = sum(1 << k for k in range(min(4, motors - first)))
+        return dialect.MAVLink_esc_info_message(
+            first, self.time_usec, self._fleet.cycle % 65536, motors, 2, online, [0] * 4, [0] * 4, [3000] * 4
+        )
+
+    def _esc_telemetry(self, first: int) -> Message:
+        name = {0: "1_to_4", 4: "5_to_8", 8: "9_to_12"}[first]
+        make = getattr(dialect, f"MAVLink_esc_telemetry_{name}_message")
+        count = [self._fleet.cycle % 65536] * 4
+        return make([30] * 4, [2220] * 4, [0] * 4, [0] * 4, self._four(first), count)
 
     def _imu(self) -> Message:
         measured = self._fleet.sensors.measured

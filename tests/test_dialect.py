@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega
 
 from nff_companion.link.codec import Codec, dialect
 
@@ -39,6 +40,12 @@ def test_esc_messages_are_those_of_common() -> None:
     assert dialect.mavlink_map[291].crc_extra == 10
 
 
+def test_esc_telemetry_is_that_of_ardupilotmega() -> None:
+    for ours in (dialect.mavlink_map[i] for i in (11030, 11031, 11032)):
+        theirs = ardupilotmega.mavlink_map[ours.id]
+        assert (ours.msgname, ours.crc_extra, ours.fieldnames) == (theirs.msgname, theirs.crc_extra, theirs.fieldnames)
+
+
 def test_golden_bytes_of_every_private_message() -> None:
     golden = (Path(__file__).parent / "data" / "golden_frames.txt").read_text(encoding="ascii").split("\n")
     expected = dict(line.split(" ") for line in golden if line)
@@ -59,6 +66,12 @@ def examples() -> dict[str, object]:
     return {
         "ESC_INFO": dialect.MAVLink_esc_info_message(0, 5, 6, 8, 1, 255, [0] * 4, [1] * 4, [2500] * 4),
         "ESC_STATUS": dialect.MAVLink_esc_status_message(4, 5, [1000, -2, 3, 4], [22.5] * 4, [1.5] * 4),
+        **{
+            f"ESC_TELEMETRY_{name}": getattr(dialect, f"MAVLink_esc_telemetry_{name.lower()}_message")(
+                [25] * 4, [2220] * 4, [150] * 4, [7] * 4, [0, 4000, 4100, 4200], [1, 2, 3, 65535]
+            )
+            for name in ("1_TO_4", "5_TO_8", "9_TO_12")
+        },
         "NFF_ALLOCATION_MATRIX": dialect.MAVLink_nff_allocation_matrix_message(
             1234567, 7, 500, 1, 1, 4, 8, 1, [k / 4 for k in range(48)]
         ),

@@ -53,6 +53,7 @@ class NffDialectAdapter:
             Stream(ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, min(rate_hz, 100.0)),
             Stream(ids.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 20.0),
             Stream(ids.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
+            Stream(ids.MAVLINK_MSG_ID_ESC_STATUS, min(rate_hz, 100.0), required=False),
             Stream(ids.MAVLINK_MSG_ID_NFF_APPLIED, 20.0),
         ]
 

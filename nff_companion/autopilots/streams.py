@@ -11,6 +11,7 @@ from nff_companion.link.codec import Message, dialect
 _WINDOW_S = 2.0
 _ENOUGH = 0.8  # of the rate asked for
 _REQUEST_S = 1.0
+_OPTIONAL_TRIES = 5
 
 
 def name_of(message_id: int) -> str:
@@ -24,6 +25,7 @@ class StreamMonitor:
 
     def __init__(self) -> None:
         self._arrivals: dict[int, deque[float]] = {}
+        self._asked: dict[int, int] = {}
         self._asked_s = -float("inf")
         self._first_asked_s: float | None = None
 
@@ -63,11 +65,16 @@ class StreamMonitor:
         self._asked_s = now_s
         if self._first_asked_s is None:
             self._first_asked_s = now_s
-        return [
-            interval(stream, target)
-            for stream in streams
-            if self.rate_hz(stream.message_id, now_s) < _ENOUGH * stream.rate_hz - 0.5
-        ]
+        out = []
+        for stream in streams:
+            if self.rate_hz(stream.message_id, now_s) >= _ENOUGH * stream.rate_hz - 0.5:
+                continue
+            asked = self._asked.get(stream.message_id, 0)
+            if not stream.required and stream.message_id not in self._arrivals and asked >= _OPTIONAL_TRIES:
+                continue  # this autopilot does not have it
+            self._asked[stream.message_id] = asked + 1
+            out.append(interval(stream, target))
+        return out
 
 
 def interval(stream: Stream, target: tuple[int, int]) -> Message:

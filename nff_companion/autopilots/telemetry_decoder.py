@@ -19,6 +19,8 @@ ATTITUDE_AGE_MAX_S = 0.1
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
 _WRAP_USEC = 2**32
+_RPM = 2.0 * np.pi / 60.0
+_ESC_FIRST = {"ESC_TELEMETRY_1_TO_4": 0, "ESC_TELEMETRY_5_TO_8": 4, "ESC_TELEMETRY_9_TO_12": 8}
 
 
 class TelemetryDecoder:
@@ -39,6 +41,10 @@ class TelemetryDecoder:
         self._target_yaw: float | None = None
         self._target_s = -np.inf
         self._landed: bool | None = None
+        m = vehicle.motors
+        self._speed, self._speed_s = np.full(m, np.nan), np.full(m, np.nan)
+        self._speed_count = np.full(m, -1)
+        self._now_s = 0.0  # of the last inertial sample
         self._handlers = {
             "HIGHRES_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servos,
@@ -47,6 +53,10 @@ class TelemetryDecoder:
             "POSITION_TARGET_LOCAL_NED": self._position_target,
             "HEARTBEAT": self._heartbeat,
             "EXTENDED_SYS_STATE": self._extended_state,
+            "ESC_STATUS": self._esc_status,
+            "ESC_TELEMETRY_1_TO_4": self._esc_telemetry,
+            "ESC_TELEMETRY_5_TO_8": self._esc_telemetry,
+            "ESC_TELEMETRY_9_TO_12": self._esc_telemetry,
         }
 
     def observe(self, message: Message) -> Sample | None:
@@ -73,6 +83,23 @@ class TelemetryDecoder:
             self._output = np.full_like(self._output, np.nan)
         self._output_usec = message.time_usec
 
+    def _esc_status(self, message: Message) -> None:
+        """Four motors from ``index``, at the time of the message; a message that repeats itself is not new."""
+        read_s = 1e-6 * message.time_usec
+        for k, rpm in enumerate(message.rpm):
+            motor = message.index + k
+            if motor < self._vehicle.motors and read_s != self._speed_s[motor]:
+                self._speed[motor], self._speed_s[motor] = abs(rpm) * _RPM, read_s
+
+    def _esc_telemetry(self, message: Message) -> None:
+        """Four servo outputs; ``count`` grows with each reading of the ESC, and stands when it says no more."""
+        first = _ESC_FIRST[message.get_type()]
+        for k, (rpm, count) in enumerate(zip(message.rpm, message.count, strict=True)):
+            motor = first + k
+            if motor < self._vehicle.motors and count != self._speed_count[motor]:
+                self._speed_count[motor] = count
+                self._speed[motor], self._speed_s[motor] = rpm * _RPM, self._now_s
+
     def _attitude(self, message: Message) -> None:
         self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
         self._quaternion_s = 1e-3 * message.time_boot_ms
@@ -94,7 +121,7 @@ class TelemetryDecoder:
         return 1e-6 * abs((now_usec - self._output_usec + _WRAP_USEC // 2) % _WRAP_USEC - _WRAP_USEC // 2)
 
     def _imu(self, message: Message) -> Sample:
-        time_s = 1e-6 * message.time_usec
+        time_s = self._now_s = 1e-6 * message.time_usec
         fresh = self._output_age_s(message.time_usec) <= OUTPUT_AGE_MAX_S
         located = abs(time_s - self._position_s) <= STATE_AGE_MAX_S
         aimed = abs(time_s - self._target_s) <= STATE_AGE_MAX_S
@@ -110,4 +137,6 @@ class TelemetryDecoder:
             target_position_m=self._target if aimed else None,
             target_yaw_rad=self._target_yaw if aimed else None,
             landed=self._landed,
+            rotor_speed_rad_s=self._speed.copy(),
+            rotor_speed_time_s=self._speed_s.copy(),
         )

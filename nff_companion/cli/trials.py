@@ -30,6 +30,7 @@ def survey(
     personality: Annotated[
         str, typer.Option(help="plain, or ardupilot: on the wire, with our applet in a real Lua.")
     ] = "plain",
+    rotor_speeds: Annotated[bool, typer.Option("--rotor-speeds", help="The ESCs report speeds.")] = False,
     thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
     workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
     json: Json = False,
@@ -47,6 +48,7 @@ def survey(
     options = surveys.SurveyOptions(
         airframe=airframe,
         personality=personality,
+        rotor_speeds=rotor_speeds,
         thrust_to_weight=thrust_to_weight or None,
         seeds=seeds,
         rate_hz=rate,

@@ -33,6 +33,8 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     lift_effectiveness: float = 0.8
     lift_driven: float = 0.15  # thrust fraction that counts as driven
     lift_s: float = 1.5
+    direct_min: float = 4.0  # improvement, where rotor speeds already name the motors
+    direct_behind: float = 3.0  # by which another hypothesis may be better then
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,29 @@ class Decision:
         others = np.delete(one_best, first)
         return self._describe((first,), one, first, matrix, vector, energy, sums, others, without)
 
+    def direct(self, sums: OnsetSums, failed: np.ndarray, stopped: tuple[int, ...], gamma: float) -> Hypothesis | None:
+        """The hypothesis that exactly the motors ``stopped`` (indices), which stand still by their rotor speeds, have
+        failed; None when the residual does not agree."""
+        o = self.options
+        matrix, vector, energy, _ = hypotheses.without_nuisance(
+            sums.matrix, sums.vector, sums.energy, np.flatnonzero(failed)
+        )
+        one = hypotheses.singles(matrix, vector, gamma)
+        best = one_best = one.improvement.max(axis=0)
+        if len(stopped) == 1:
+            scores, index = one, stopped[0]
+            others = np.delete(one_best, index)
+        else:
+            first, second = (np.array([motor]) for motor in stopped)
+            scores, index = hypotheses.pairs(matrix, vector, gamma, first, second), 0
+            others = one_best
+            best = scores.improvement.max(axis=0)
+        rival = float(others.max()) if others.size else 0.0
+        if best[index] < o.direct_min or rival - best[index] > o.direct_behind:
+            return None
+        found = self._describe(stopped, scores, index, matrix, vector, energy, sums, others, np.zeros(0))
+        return found if max(found.loss) <= -0.5 * o.loss_sudden else None
+
     @staticmethod
     def _describe(
         motors: tuple[int, ...],
@@ -153,17 +178,28 @@ class Decision:
         effectiveness: np.ndarray,
         deviation: np.ndarray,
         driven: np.ndarray,
+        direct: Hypothesis | None = None,
     ) -> tuple[DecisionState, list[Event]]:
-        """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
+        """One sample. ``direct``: named by rotor speeds, and the residual agrees. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
         coefficient); ``driven`` (m,) thrust fractions that the motors are asked for."""
         o = self.options
-        if best is None and not state.failed.any() and float(effectiveness.min()) > 1.0 - o.loss_gradual:
+        if (
+            best is None
+            and direct is None
+            and not state.failed.any()
+            and float(effectiveness.min()) > 1.0 - o.loss_gradual
+        ):
             return (state if state.quiet else DecisionState.start(len(effectiveness))), []
         events: list[Event] = []
         failed = state.failed
         candidate: tuple[int, ...] = ()
         since = time_s
-        if best is not None and self._convincing(best):
+        if direct is not None and failed.sum() + len(direct.motors) <= self._failed_max:
+            failed = failed.copy()
+            failed[list(direct.motors)] = True
+            for motor, loss in zip(direct.motors, direct.loss, strict=True):
+                events.append(Event(time_s, motor + 1, True, 1.0 + loss, 1.0))
+        elif best is not None and self._convincing(best):
             candidate = best.motors
             since = state.since_s if candidate == state.candidate else time_s
             wait = o.confirm_s if len(candidate) == 1 else o.confirm_ambiguous_s

@@ -119,8 +119,10 @@ class Estimator:
         specific_force: np.ndarray,
         command: np.ndarray,
         dt_s: float,
+        stopped: np.ndarray | None = None,
     ) -> tuple[EstimatorState, Estimate]:
-        """One sample; ``command`` (m,) thrust fractions asked of the motors. Raises SolverError."""
+        """One sample; ``command`` (m,) thrust fractions asked of the motors, ``stopped`` (m,) bool those that stand
+        still by their rotor speeds. Raises SolverError."""
         o = self.options
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
         side_drag = self._filter.side_drag(filtered)
@@ -134,18 +136,21 @@ class Estimator:
         regressor = matrix * filtered.weight
         information = sparse.update(state.information, regressor, residual, weight, dt_s, o.forgetting_per_s)
         onset = self._onset.push(state.onset, filtered.weight, residual)
-        best = None
-        if float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2:
+        best = direct = None
+        hint = () if stopped is None else tuple(int(i) for i in np.flatnonzero(stopped & ~decision.failed))
+        if hint or float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2:
             lateral = float(np.hypot(filtered.lateral[0], filtered.lateral[1]))
             yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
             sums = self._onset.sums(onset, matrix, self._disturbance.variance(state.disturbance), yaw_error)
             best = self._decision.best(sums, decision.failed, o.gamma_onset)
+            if 1 <= len(hint) <= 2:
+                direct = self._decision.direct(sums, decision.failed, hint, o.gamma_onset)
         suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
         if time_s - solved_s >= o.solve_interval_s - 1e-9:
             solved_s = time_s
             effectiveness, deviation = self._effectiveness(information, decision.failed)
-        decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command)
+        decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(len(command)), self._onset.start()

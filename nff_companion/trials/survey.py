@@ -45,6 +45,7 @@ class SurveyOptions:
     mode: Mode = Mode.ALLOCATE
     detector: str = "sparse"
     personality: str = "plain"
+    rotor_speeds: bool = False
 
 
 @dataclass(slots=True)
@@ -87,6 +88,7 @@ def _described(options: SurveyOptions) -> dict[str, Any]:
         "mode": options.mode.name.lower(),
         "detector": options.detector,
         "personality": options.personality,
+        "rotor_speeds": options.rotor_speeds,
     }
 
 
@@ -135,6 +137,7 @@ def _build(
         link_delay_s=options.link_delay_s,
         make_pipeline=pipeline_factory(options.detector),
         workshop=workshop,
+        rotor_speeds=options.rotor_speeds,
     )
 
 

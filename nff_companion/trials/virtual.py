@@ -83,8 +83,12 @@ class VirtualFlight:
         link_delay_s: float,
         make_pipeline: Callable[[vehicle_model.Vehicle, float, PipelineOptions], Pipeline] = Pipeline,
         workshop: Workshop | None = None,
+        rotor_speeds: bool = False,
+        alter: Callable[[Sample], Sample] = lambda sample: sample,
     ) -> None:
-        """``workshop``: the companions meet ArduPilot with our applet on the wire; without it, the emulation itself."""
+        """``workshop``: the companions meet ArduPilot with our applet on the wire; without it, the emulation itself.
+        ``alter`` is the hand of a test on the telemetry of the latter."""
+        self._alter, self._rotor_speeds = alter, rotor_speeds
         self.fleet = fleet
         self._every = max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
@@ -95,13 +99,17 @@ class VirtualFlight:
             self.companions.append(
                 Companion(index, pipeline, link_delay_s)
                 if workshop is None
-                else WireCompanion(index, pipeline, fleet, rate, link_delay_s, workshop)
+                else WireCompanion(index, pipeline, fleet, rate, link_delay_s, workshop, rotor_speeds)
             )
 
     def _sample(self, index: int) -> Sample:
         fleet = self.fleet
         measured, autopilot = fleet.sensors.measured, fleet.autopilot
-        return Sample(
+        speed = None
+        if self._rotor_speeds:
+            p = fleet.parameters
+            speed = np.sqrt(fleet.state.thrust_n[index] / p.max_thrust_n[index]) * p.max_speed_rad_s
+        sample = Sample(
             time_s=fleet.time_s,
             gyro_rad_s=measured.gyro_rad_s[index],
             specific_force_m_s2=measured.specific_force_m_s2[index],
@@ -112,7 +120,10 @@ class VirtualFlight:
             velocity_m_s=measured.velocity_m_s[index],
             target_position_m=autopilot.position.path[index].copy(),
             target_yaw_rad=float(rotation.yaw_of(autopilot.attitude.target[index])),
+            rotor_speed_rad_s=speed,
+            rotor_speed_time_s=None if speed is None else np.full(len(speed), fleet.time_s),
         )
+        return self._alter(sample)
 
     def step(self) -> None:
         """One autopilot cycle of the fleet, and what the companions do in it."""

@@ -47,7 +47,14 @@ class WireCompanion:
     """One vehicle of the fleet with the ArduPilot personality, and its companion."""
 
     def __init__(
-        self, index: int, pipeline: Pipeline, fleet: Fleet, rate_hz: float, link_delay_s: float, workshop: Workshop
+        self,
+        index: int,
+        pipeline: Pipeline,
+        fleet: Fleet,
+        rate_hz: float,
+        link_delay_s: float,
+        workshop: Workshop,
+        rotor_speeds: bool = False,
     ) -> None:
         self.index, self.pipeline = index, pipeline
         self._fleet = fleet
@@ -56,7 +63,7 @@ class WireCompanion:
         self._commander = Commander(fleet, telemetry, _SYSTEM)
         self.personality = ArduPilotPersonality(fleet, index, workshop.card, self._commander.params, _SYSTEM)
         makers = telemetry.makers
-        streams = [(s.message_id, s.rate_hz) for s in self.adapter.streams(rate_hz)]
+        streams = [(s.message_id, s.rate_hz) for s in self.adapter.streams(rate_hz) if s.required or rotor_speeds]
         self._streams = [
             (max(round(AUTOPILOT_RATE_HZ / hz), 1), makers[message_id])
             for message_id, hz in ((dialect.MAVLINK_MSG_ID_HEARTBEAT, _HEARTBEAT_HZ), *streams)

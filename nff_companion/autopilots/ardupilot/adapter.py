@@ -24,6 +24,12 @@ _HEARTBEAT_INTERVAL_S = 0.2
 _TABLE_INTERVAL_S = 0.02
 _TABLE_RETRY_S = 0.5
 _ANSWER_MAX_S = 1.0
+_SPEED_HZ = 100.0
+_ESC_TELEMETRY = (
+    dialect.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4,
+    dialect.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8,
+    dialect.MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12,
+)
 
 
 class ArduPilotAdapter:
@@ -74,6 +80,10 @@ class ArduPilotAdapter:
             Stream(ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, min(rate_hz, 50.0)),
             Stream(ids.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 20.0),
             Stream(ids.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
+            *(
+                Stream(message_id, min(rate_hz, _SPEED_HZ), required=False)
+                for message_id in _ESC_TELEMETRY[: (self._vehicle.motors + 3) // 4]
+            ),
         ]
 
     def observe(self, message: Message) -> Sample | None:

@@ -62,7 +62,7 @@ class Px4Adapter:
         self._armed: bool | None = None
         self._heard_s = -np.inf
         self._wanted: dict[str, float] = {}  # parameters that are not yet confirmed, in the order to send
-        self._sent_s = -np.inf
+        self._sent_s = self._tick_s = -np.inf
         self._journaled = False
         self._leaving = False
         self._target_effectiveness = np.ones(vehicle.motors)
@@ -86,6 +86,7 @@ class Px4Adapter:
             Stream(ids.MAVLINK_MSG_ID_HIGHRES_IMU, rate),
             Stream(ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 50.0, required=False),
             Stream(ids.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, required=False),
+            Stream(ids.MAVLINK_MSG_ID_ESC_STATUS, min(rate, 100.0), required=False),
         ]
 
     def observe(self, message: Message) -> Sample | None:
@@ -196,7 +197,7 @@ class Px4Adapter:
 
     def _sets(self, now_s: float) -> list[Message]:
         """PARAM_SET for everything not yet confirmed, again every 50 ms."""
-        if not self._wanted or now_s - self._sent_s < _RESEND_S:
+        if not self._wanted or now_s < self._sent_s + _RESEND_S:
             return []
         self._sent_s = now_s
         return [
@@ -216,6 +217,7 @@ class Px4Adapter:
 
     def tick(self, now_s: float) -> list[Message]:
         """Version and parameters until they are known; what is wanted until it is confirmed."""
+        self._tick_s = now_s
         out: list[Message] = []
         if self._version is None:
             if now_s >= self._next_version_s:
@@ -290,9 +292,7 @@ class Px4Adapter:
         self._refused_for, self._note = None, "yaw given up" if remedy.yaw_released else ""
         self._target_effectiveness = believed
         self._tell(remedy.effectiveness, yaw_released=remedy.yaw_released)
-        sets = self._sets(np.inf)
-        self._sent_s = -np.inf
-        return sets
+        return self._sets(self._tick_s)
 
     def _write_journal(self) -> None:
         if self._journaled:

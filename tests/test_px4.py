@@ -1,0 +1,338 @@
+"""PX4: its allocator foreseen, what is told and what never, and the journal that outlives every crash."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_px4 import FakePx4, talk
+
+from nff_companion import vehicle
+from nff_companion.autopilots.parameters import name_of
+from nff_companion.autopilots.px4 import allocator
+from nff_companion.autopilots.px4.adapter import Px4Adapter
+from nff_companion.autopilots.px4.journal import Entry, Journal
+from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geometry_of
+from nff_companion.errors import JournalError
+from nff_companion.pipeline import Mode, Output
+from nff_companion.vehicle import Vehicle
+
+# Both motors told dead drove all eight outputs of a flown PX4 v1.16 to zero.
+COLLAPSE = {(1, 7), (1, 8), (2, 7), (2, 8), (3, 4), (3, 5), (4, 6), (5, 6)}
+
+
+def octo(ratio: float = 2.56) -> Vehicle:
+    return vehicle.load("px4-octo-x", thrust_to_weight=ratio)
+
+
+def geometry(model: Vehicle) -> allocator.Geometry:
+    px4 = FakePx4(model)
+    return geometry_of({name: px4.value(name) for name in px4.names}, model.motors)
+
+
+def without(model: Vehicle, motors: tuple[int, ...]) -> np.ndarray:
+    eta = np.ones(model.motors)
+    eta[[motor - 1 for motor in motors]] = 0.0
+    return eta
+
+
+def output(model: Vehicle, failed: tuple[int, ...], time_s: float = 10.0, mode: Mode = Mode.ALLOCATE, **changes):
+    m = model.motors
+    values = {
+        "time_s": time_s,
+        "mode": mode,
+        "reason": "",
+        "flying": True,
+        "failed": without(model, failed) == 0.0,
+        "effectiveness": without(model, failed),
+        "deviation": np.zeros(m),
+        "degraded": np.zeros(m, bool),
+        "events": [],
+        "plan": None,
+        "override": None,
+        "estimate": None,
+        "unallocated": np.zeros(4),
+        "rejected": 0,
+        "bad_samples": 0,
+    }
+    return Output(**{**values, **changes})
+
+
+def ready(folder: Path, model: Vehicle, px4: FakePx4, *, armed: bool = True) -> tuple[Px4Adapter, float]:
+    adapter = Px4Adapter(model, (1, 1), folder / "journal")
+    px4.armed = False
+    now = talk(adapter, px4, 0.0, 4.0)
+    px4.armed = armed
+    return adapter, talk(adapter, px4, now, 0.1)
+
+
+# -- foreseeing its allocator -----------------------------------------------------------------------------------------
+
+
+def test_the_pairs_that_collapse_are_those_that_did_in_flight() -> None:
+    model = octo()
+    advisor = Advisor(model, geometry(model))
+    found = set()
+    for pair in itertools.combinations(range(1, 9), 2):
+        eta = without(model, pair)
+        if advisor.predict(eta, eta, yaw_released=False).thrust_ratio < 0.1:
+            found.add(pair)
+    assert found == COLLAPSE
+
+
+@pytest.mark.parametrize("ratio", [1.55, 2.56])
+def test_no_remedy_ever_triggers_a_collapse(ratio: float) -> None:
+    model = octo(ratio)
+    advisor = Advisor(model, geometry(model))
+    for pair in itertools.combinations(range(1, 9), 2):
+        remedy = advisor.remedy(without(model, pair))
+        if isinstance(remedy, NoRemedy):
+            continue
+        told = advisor.predict(remedy.effectiveness, without(model, pair), yaw_released=remedy.yaw_released)
+        assert told.thrust_ratio >= 1.0
+        assert pair not in COLLAPSE or remedy.yaw_released
+
+
+def test_a_hexarotor_is_told_together_with_its_yaw() -> None:
+    model = vehicle.load("hexa-x", thrust_to_weight=2.56)
+    advisor = Advisor(model, geometry(model))
+    for motor in range(1, 7):
+        remedy = advisor.remedy(without(model, (motor,)))
+        assert isinstance(remedy, Remedy)
+        assert remedy.yaw_released
+
+
+def test_a_healthy_hover_is_even_and_balanced() -> None:
+    model = octo()
+    g = geometry(model)
+    hover = allocator.allocate(allocator.mix_matrix(g), np.array([0, 0, 0, 0, 0, -0.4]), g)
+    assert hover == pytest.approx(np.full(8, 0.4), abs=1e-6)
+    for axis in range(3):
+        demand = np.array([0, 0, 0, 0, 0, -0.5])
+        demand[axis] = 0.1
+        wrench = model.effectiveness @ allocator.allocate(allocator.mix_matrix(g), demand, g)
+        assert wrench[1 + axis] > 0.01
+        assert np.delete(wrench[1:], axis) == pytest.approx(np.zeros(2), abs=1e-6)
+
+
+# -- what is told -----------------------------------------------------------------------------------------------------
+
+
+def test_a_failed_motor_is_told_after_the_journal_is_on_disk(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    assert adapter.blocked(now, Mode.ALLOCATE) == ""
+    sets = adapter.act(output(model, (3,)))
+    assert (tmp_path / "journal").exists()
+    assert [name_of(m) for m in sets] == ["CA_ROTOR2_CT"]
+    talk(adapter, px4, now, 0.5)
+    assert px4.scales() == [6.5, 6.5, 0.0, 6.5, 6.5, 6.5, 6.5, 6.5]
+    assert list(np.flatnonzero(adapter.applied.failed)) == [2]
+    assert adapter.act(output(model, (3,), 11.0)) == []
+
+
+@pytest.mark.parametrize("pair", sorted(COLLAPSE))
+def test_a_collapse_pair_is_never_sent(pair: tuple[int, int], tmp_path: Path) -> None:
+    model = octo(1.55)
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    for time_s, failed in ((10.0, pair[:1]), (10.5, pair)):
+        for message in adapter.act(output(model, failed, time_s)):
+            px4.answer(message)
+        now = talk(adapter, px4, now, 0.5)
+    dead = {i + 1 for i, scale in enumerate(px4.scales()) if scale == 0.0}
+    assert dead != set(pair)
+    assert dead == set(pair[:1])  # what could be told stays told
+    assert "not told to PX4" in adapter.complaints()[0]
+
+
+def test_a_pair_that_needs_it_releases_yaw_first(tmp_path: Path) -> None:
+    model = octo(2.56)
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    for message in adapter.act(output(model, (1, 8))):
+        px4.answer(message)
+    names = [name for name, _ in px4.sets]
+    assert all(name.endswith("_KM") for name in names[:8])
+    assert sorted(names[8:]) == ["CA_ROTOR0_CT", "CA_ROTOR7_CT"]
+    talk(adapter, px4, now, 0.2)
+    assert "yaw given up" in adapter.complaints()
+
+
+def test_a_partial_loss_is_scaled_and_small_changes_are_not_sent(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    eta = np.ones(8)
+    eta[4] = 0.5
+    degraded = eta < 1.0
+    for message in adapter.act(output(model, (), 10.0, effectiveness=eta, degraded=degraded)):
+        for reply in px4.answer(message):
+            adapter.observe(reply)
+    assert px4.value("CA_ROTOR4_CT") == pytest.approx(3.25)
+    count = len(px4.sets)
+    talk(adapter, px4, now, 0.2)
+    eta = eta.copy()
+    eta[4] = 0.45
+    assert adapter.act(output(model, (), 15.0, effectiveness=eta, degraded=degraded)) == []
+    assert len(px4.sets) == count
+
+
+def test_restored_on_disarm_and_the_journal_is_gone(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    found = px4.stored.copy()
+    adapter, now = ready(tmp_path, model, px4)
+    for message in adapter.act(output(model, (1, 8))):
+        px4.answer(message)
+    now = talk(adapter, px4, now, 0.3)
+    assert not np.array_equal(px4.stored, found)
+    px4.armed = False
+    talk(adapter, px4, now, 1.0)
+    assert np.array_equal(px4.stored, found)
+    assert not (tmp_path / "journal").exists()
+    assert not adapter.unfinished
+
+
+def test_in_the_air_a_new_start_takes_over_what_was_told(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    for message in adapter.act(output(model, (3,))):
+        px4.answer(message)
+    count = len(px4.sets)
+    again = Px4Adapter(model, (1, 1), tmp_path / "journal")
+    now = talk(again, px4, now, 5.0)
+    assert list(np.flatnonzero(again.applied.failed)) == [2]
+    assert again.act(output(model, (3,), 20.0)) == []
+    assert len(px4.sets) == count
+    px4.armed = False
+    talk(again, px4, now, 1.0)
+    assert px4.scales() == [6.5] * 8
+
+
+def test_nothing_is_told_when_observing_disarmed_or_on_the_ground(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    assert adapter.act(output(model, (3,), mode=Mode.OBSERVE)) == []
+    assert adapter.act(output(model, (3,), flying=False)) == []
+    px4.armed = False
+    talk(adapter, px4, now, 0.1)
+    assert adapter.act(output(model, (3,))) == []
+    assert px4.sets == []
+
+
+@pytest.mark.parametrize(
+    ("version", "changes", "reason"),
+    [
+        (0x01080000, {}, "PX4 1.8.0"),
+        (0x01200000, {}, "PX4 1.32.0"),
+        (0x011000FF, {"CA_ROTOR_COUNT": 6}, "CA_ROTOR_COUNT is 6"),
+        (0x011000FF, {"CA_ROTOR3_PX": 0.4}, "motor order"),
+        (0x011000FF, {"CA_ROTOR3_KM": -0.05}, "turns the other way"),
+        (0x011000FF, {"PWM_MAIN_FUNC4": 105}, "PWM_MAIN_FUNC4"),
+    ],
+)
+def test_what_is_not_understood_is_observed_with_a_reason(
+    version: int, changes: dict[str, float], reason: str, tmp_path: Path
+) -> None:
+    model = octo()
+    px4 = FakePx4(model, version, **changes)
+    adapter, now = ready(tmp_path, model, px4)
+    assert reason in adapter.blocked(now, Mode.ALLOCATE)
+    if "PX4" not in reason:
+        assert adapter.act(output(model, (3,))) == []
+
+
+def test_a_journal_that_cannot_be_written_stops_the_change(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    (tmp_path / "file").write_text("in the way")
+    adapter = Px4Adapter(model, (1, 1), tmp_path / "file" / "journal")
+    now = talk(adapter, px4, 0.0, 4.0)
+    px4.armed = True
+    talk(adapter, px4, now, 0.1)
+    adapter.act(output(model, (3,)))
+    talk(adapter, px4, now, 0.5)
+    assert px4.sets == []
+
+
+# -- journal ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_journal_of_another_autopilot_or_a_spoilt_one_is_refused(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal")
+    assert journal.read("a") == []
+    journal.write("a", [Entry("CA_ROTOR0_CT", 6.5, 9)])
+    assert journal.read("a") == [Entry("CA_ROTOR0_CT", 6.5, 9)]
+    with pytest.raises(JournalError, match="is of autopilot a"):
+        journal.read("b")
+    journal.path.write_bytes(journal.path.read_bytes()[:20])
+    with pytest.raises(JournalError, match="cannot be understood"):
+        journal.read("a")
+
+
+def _fly_until_killed(folder: Path, model: Vehicle, px4: FakePx4, kill_at: int) -> None:
+    """A child's life: two declarations, landing, restoring; SIGKILL at its n-th step on disk or wire."""
+    steps = 0
+
+    def step() -> None:
+        nonlocal steps
+        steps += 1
+        if steps == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def hooked(function):
+        def call(*arguments, **options):
+            step()
+            result = function(*arguments, **options)
+            step()
+            return result
+
+        return call
+
+    os.fsync = hooked(os.fsync)
+    for name in ("replace", "unlink", "open"):
+        setattr(Path, name, hooked(getattr(Path, name)))
+    adapter, now = ready(folder, model, px4)
+    for time_s, failed in ((10.0, (3,)), (11.0, (1, 3)), (12.0, (1, 8))):
+        for message in adapter.act(output(model, failed, time_s)):
+            step()
+            px4.answer(message, step)
+        now = talk(adapter, px4, now, 0.3, step)
+    px4.armed = False
+    talk(adapter, px4, now, 1.0, step)
+
+
+def test_killed_at_any_step_the_next_start_restores_everything(tmp_path: Path) -> None:
+    model = octo()
+    completed = False
+    kill_at = 0
+    while not completed:
+        kill_at += 1
+        folder = tmp_path / str(kill_at)
+        folder.mkdir()
+        px4 = FakePx4(model)
+        found = px4.stored.copy()
+        child = os.fork()
+        if child == 0:
+            try:
+                _fly_until_killed(folder, model, px4, kill_at)
+            finally:
+                os._exit(0)
+        _, status = os.waitpid(child, 0)
+        completed = os.WIFEXITED(status)
+        # The next start, on the ground.
+        adapter = Px4Adapter(model, (1, 1), folder / "journal")
+        talk(adapter, px4, 0.0, 5.0)
+        assert np.array_equal(px4.stored, found), f"killed at step {kill_at}"
+        assert not (folder / "journal").exists()
+        assert adapter.complaints() == []
+    print(f"killed at each of {kill_at - 1} steps")
+    assert kill_at > 30

@@ -1,0 +1,161 @@
+"""Measured rotor speeds: declared at once; telemetry that lies neither causes nor hides a declaration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nff_companion import vehicle
+from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
+from nff_companion.link.codec import Codec, dialect
+from nff_companion.pipeline import PipelineOptions
+from nff_companion.telemetry import Sample
+from nff_companion.trials.virtual import VirtualFlight
+from sitl import airframe
+from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
+
+FAIL_S = 4.0
+STOPPED_SHARE = 0.35
+
+
+def flight(failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, end_s: float = FAIL_S + 1.5):
+    """Declared motors and when; when the telemetry first showed each stopped."""
+    fleet = Fleet(
+        airframe.load(vehicle.path_of("octo-x")),
+        FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.75, model_error=0.1),
+        [Fault(vehicle=0, motor=motor, start_s=FAIL_S) for motor in failed],
+    )
+    shown: dict[int, float] = {}
+
+    def watch(sample: Sample) -> Sample:
+        out = alter(sample)
+        assert sample.rotor_speed_rad_s is not None
+        for motor in failed:
+            if sample.time_s > FAIL_S and sample.rotor_speed_rad_s[motor - 1] < STOPPED_SHARE * 450:
+                shown.setdefault(motor, sample.time_s)
+        return out
+
+    virtual = VirtualFlight(
+        fleet,
+        {0: PipelineOptions()},
+        airframe="octo-x",
+        thrust_to_weight=None,
+        rate_hz=200.0,
+        link_delay_s=0.0,
+        rotor_speeds=True,
+        alter=watch,
+    )
+    while fleet.time_s < end_s and not fleet.state.crashed[0]:
+        virtual.step()
+    companion = virtual.companions[0]
+    assert not fleet.state.crashed[0]
+    events = {event.motor: time_s for time_s, event in companion.events if event.declared}
+    return events, shown, companion.pipeline
+
+
+def honest(sample: Sample) -> Sample:
+    return sample
+
+
+def zero_filled(sample: Sample) -> Sample:
+    return replace(sample, rotor_speed_rad_s=np.zeros(8))
+
+
+def zero_from_now(sample: Sample) -> Sample:
+    return zero_filled(sample) if sample.time_s > FAIL_S - 1.0 else sample
+
+
+def frozen(sample: Sample) -> Sample:
+    return replace(sample, rotor_speed_rad_s=np.full(8, 450.0))
+
+
+def stale(sample: Sample) -> Sample:
+    if sample.time_s < FAIL_S - 0.5:
+        return sample
+    return replace(sample, rotor_speed_time_s=np.full(8, FAIL_S - 0.5), rotor_speed_rad_s=np.zeros(8))
+
+
+def swapped(sample: Sample) -> Sample:
+    assert sample.rotor_speed_rad_s is not None
+    speed = sample.rotor_speed_rad_s.copy()
+    speed[[2, 7]] = speed[[7, 2]]
+    return replace(sample, rotor_speed_rad_s=speed)
+
+
+def one_dead_sensor(sample: Sample) -> Sample:
+    assert sample.rotor_speed_rad_s is not None
+    speed = sample.rotor_speed_rad_s.copy()
+    if sample.time_s > FAIL_S - 1.0:
+        speed[4] = 0.0
+    return replace(sample, rotor_speed_rad_s=speed)
+
+
+@pytest.mark.parametrize("failed", [[1, 2], [1, 4], [2, 5], [7, 8], [3]])
+def test_a_stopped_motor_is_declared_at_once(failed: list[int]) -> None:
+    events, shown, _ = flight(failed, honest)
+    assert sorted(events) == failed
+    for motor in failed:
+        delay = events[motor] - shown[motor]
+        print(f"motor {motor}: {1e3 * delay:.0f} ms after the telemetry showed it")
+        assert delay <= 0.050 + 1e-9
+
+
+@pytest.mark.parametrize("lie", [zero_filled, zero_from_now, frozen, stale, swapped, one_dead_sensor])
+def test_telemetry_that_lies_declares_nothing(lie: Callable[[Sample], Sample]) -> None:
+    events, _, _ = flight([], lie, end_s=FAIL_S + 2.0)
+    assert events == {}
+
+
+@pytest.mark.parametrize("lie", [zero_filled, zero_from_now, frozen, stale, swapped, one_dead_sensor])
+def test_telemetry_that_lies_hides_nothing(lie: Callable[[Sample], Sample]) -> None:
+    events, _, _ = flight([3], lie)
+    assert sorted(events) == [3]
+    assert events[3] - FAIL_S < 0.1
+
+
+def test_a_dead_speed_sensor_is_called_one() -> None:
+    _, _, pipeline = flight([], one_dead_sensor, end_s=FAIL_S + 1.0)
+    assert pipeline.speed_faults == [5]
+
+
+def test_a_watch_needs_proof_before_it_believes_a_zero() -> None:
+    watch, state = RotorSpeedWatch(4), RotorSpeedState.start(4)
+    thrust = np.full(4, 0.4)
+    for k in range(100):
+        now = 0.01 * k
+        speed = np.array([0.0, 400.0 + k % 3, 400.0 + k % 3, 400.0 + k % 2])
+        assert not watch.step(state, now, speed, np.full(4, now), thrust).any()
+
+
+def test_telemetry_of_both_autopilots_reaches_the_sample() -> None:
+    octo = vehicle.load("octo-x")
+    decoder = TelemetryDecoder(octo)
+    sender, receiver = Codec(1, 1), Codec(1, 191)
+
+    def imu(usec: int):
+        message = dialect.MAVLink_highres_imu_message(usec, *[0.0] * 13, 0x3F)
+        (received,) = receiver.parse(sender.pack(message))
+        return decoder.observe(received)
+
+    def say(message) -> None:
+        for received in receiver.parse(sender.pack(message)):
+            decoder.observe(received)
+
+    imu(1_000_000)
+    say(dialect.MAVLink_esc_telemetry_1_to_4_message([0] * 4, [0] * 4, [0] * 4, [0] * 4, [60, 120, 0, 6000], [1] * 4))
+    sample = imu(1_005_000)
+    assert sample.rotor_speed_rad_s[:4] == pytest.approx(np.array([60, 120, 0, 6000]) * 2 * np.pi / 60)
+    assert np.isnan(sample.rotor_speed_rad_s[4:]).all()
+    say(dialect.MAVLink_esc_telemetry_1_to_4_message([0] * 4, [0] * 4, [0] * 4, [0] * 4, [0] * 4, [1] * 4))
+    sample = imu(1_010_000)  # the count stands: the ESC has said nothing new
+    assert sample.rotor_speed_rad_s[3] == pytest.approx(6000 * 2 * np.pi / 60)
+    assert sample.rotor_speed_time_s[3] == pytest.approx(1.0)
+    say(dialect.MAVLink_esc_status_message(4, 1_011_000, [-600, 600, 1200, 0], [0.0] * 4, [0.0] * 4))
+    sample = imu(1_015_000)
+    assert sample.rotor_speed_rad_s[4:] == pytest.approx(np.array([600, 600, 1200, 0]) * 2 * np.pi / 60)
+    assert sample.rotor_speed_time_s[4] == pytest.approx(1.011)
