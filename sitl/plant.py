@@ -30,6 +30,11 @@ class PlantState:
     crashed: np.ndarray  # (N,) bool, latched
 
 
+def full_load_share() -> float:
+    """Thrust that a full battery's sag leaves at full throttle, over that of full voltage."""
+    return (1.0 - _BATTERY_SAG) ** 2
+
+
 def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad: float = 0.0) -> PlantState:
     """Vehicles at rest at ``height_m`` above the ground; at height 0 they stand on it."""
     n, m = parameters.vehicles, parameters.motors

@@ -31,6 +31,15 @@ class Stream:
     required: bool = True
 
 
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at before a flight; ``ok`` False stands in the way, None is advice."""
+
+    name: str
+    ok: bool | None
+    detail: str
+
+
 @dataclass(slots=True)
 class Applied:
     """What the autopilot says it has in force."""
@@ -83,6 +92,9 @@ class Adapter(Protocol):
 
     def complaints(self) -> list[str]:
         """What the pilot should hear, in a few words each."""
+
+    def findings(self) -> list[Finding]:
+        """What was found out about this autopilot, for a check before the flight."""
 
     def drive(self, outputs: np.ndarray, time_s: float) -> Message:
         """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""

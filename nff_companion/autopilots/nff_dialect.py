@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nff_companion.autopilots.base import Applied, Capabilities, Stream
+from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
 from nff_companion.link.codec import Message, dialect
 from nff_companion.pipeline import Mode, Output
@@ -83,6 +83,11 @@ class NffDialectAdapter:
     def complaints(self) -> list[str]:
         """Nothing but what ``blocked`` says."""
         return []
+
+    def findings(self) -> list[Finding]:
+        """Whether it says what it has in force."""
+        heard = bool(np.isfinite(self._applied_s))
+        return [Finding("autopilot", heard, "NFF_APPLIED is heard" if heard else "NFF_APPLIED is not heard")]
 
     def blocked(self, time_s: float, mode: Mode) -> str:
         """Why no command may be sent at ``time_s``: an autopilot that does not answer does not obey either."""

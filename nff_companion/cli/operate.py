@@ -109,3 +109,23 @@ def mode(
 ) -> None:
     """Set the mode of the running daemon."""
     _command(socket, {"command": "mode", "mode": name}, json)
+
+
+def doctor(
+    config: Annotated[Path, typer.Option("--config", help="Configuration file (TOML).")],
+    timeout: Annotated[float, typer.Option(help="Longest time to listen, in s.")] = 20.0,
+    json: Json = False,
+) -> None:
+    """Check link, autopilot, applet, parameters, motor order and rates before arming. Exit code 1: not ready."""
+    from nff_companion import config as configuration
+    from nff_companion.doctor import Doctor
+
+    findings = Doctor(configuration.load(config)).examine(timeout)
+    marks = {True: "[green]ok[/green]  ", False: "[red]NOT[/red] ", None: "note"}
+    for finding in findings:
+        console.print(f"{marks[finding.ok]} {finding.name}: {finding.detail}", highlight=False, soft_wrap=True)
+    ready = all(finding.ok is not False for finding in findings)
+    if json:
+        found = [{"name": f.name, "ok": f.ok, "detail": f.detail} for f in findings]
+        print_json({"ready": ready, "findings": found})
+    raise typer.Exit(0 if ready else 1)

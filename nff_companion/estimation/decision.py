@@ -180,8 +180,9 @@ class Decision:
         driven: np.ndarray,
         direct: Hypothesis | None = None,
     ) -> tuple[DecisionState, list[Event]]:
-        """One sample. ``direct``: named by rotor speeds, and the residual agrees. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
-        coefficient); ``driven`` (m,) thrust fractions that the motors are asked for."""
+        """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
+        coefficient); ``driven`` (m,) thrust fractions that the motors are asked for; ``direct``: named by rotor
+        speeds, and the residual agrees."""
         o = self.options
         if (
             best is None

@@ -7,7 +7,7 @@ import numpy as np
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
-from nff_companion.autopilots.base import Applied, Capabilities, Stream
+from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
 from nff_companion.autopilots.parameters import ParameterReader
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
 from nff_companion.errors import AllocationInfeasible, TunnelError
@@ -144,6 +144,28 @@ class ArduPilotAdapter:
             out.append("applet does not answer, observing")
         elif not self.watchdog_alive:
             out.append("applet watchdog is silent")
+        return out
+
+    def findings(self) -> list[Finding]:
+        """Applet, watchdog, tables, and the parameters that must agree with the airframe."""
+        values = self.parameters.values
+        alive = self._boot_ms is not None
+        count, wanted = len(self._stored), len(self._tables)
+        wrong = checks.contradictions(values, self._vehicle)
+        out = [
+            Finding(
+                "applet", alive, "answers" if alive else self._complaint or "does not answer: installed? SCR_ENABLE 1?"
+            ),
+            Finding("watchdog", alive and self.watchdog_alive, "runs" if self.watchdog_alive else "is silent"),
+            Finding("tables", self.tables_stored, f"{count} of {wanted} stored on the autopilot"),
+            Finding("motors", alive and self._motors == self._vehicle.motors, f"the applet flies {self._motors}"),
+            Finding(
+                "parameters", self.parameters.complete and not wrong, "; ".join(wrong) or "agree with the airframe"
+            ),
+        ]
+        out += [Finding("advice", None, text) for text in checks.advice(values, self._vehicle)]
+        if self.parameters.absent:
+            out.append(Finding("advice", None, f"not answered for: {', '.join(self.parameters.absent)}"))
         return out
 
     def blocked(self, time_s: float, mode: Mode) -> str:

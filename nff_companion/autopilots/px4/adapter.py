@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion.autopilots.base import Applied, Capabilities, Stream
+from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
 from nff_companion.autopilots.parameters import ParameterReader, encode
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, disagreement, geometry_of
@@ -249,6 +249,17 @@ class Px4Adapter:
     def complaints(self) -> list[str]:
         """What stands in the way, and a declaration that may not be sent."""
         return [text for text in (self._trouble, self._note) if text]
+
+    def findings(self) -> list[Finding]:
+        """Version, rotors, and a journal that is left over."""
+        version = "unknown" if self._version is None else ".".join(str(part) for part in self._version)
+        known = self._version is not None and behaviour(self._version) is not None
+        ready = self._advisor is not None
+        return [
+            Finding("version", known, f"PX4 {version}" if known else f"PX4 {version}: not known here"),
+            Finding("rotors", ready, "agree with the airframe" if ready else self._trouble or "not read yet"),
+            Finding("journal", not self._journaled, "parameters are being restored" if self._journaled else "clean"),
+        ]
 
     def blocked(self, time_s: float, mode: Mode) -> str:
         """Why nothing may be sent; empty when something may."""

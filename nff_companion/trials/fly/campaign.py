@@ -9,6 +9,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from nff_companion.trials.fly import arducopter, px4
 from nff_companion.trials.fly.arducopter import FlyOptions
 from nff_companion.trials.fly.pilot import FlightError
@@ -95,6 +97,18 @@ def _attempt(
     return flight
 
 
+def rms_ratio(companion: list[float], baseline: list[float]) -> dict[str, float] | None:
+    """Tracking error with the companion over that without, with a 95 % interval by bootstrap over the flights."""
+    if len(companion) != len(baseline) or not baseline or min(baseline) <= 0.0:
+        return None
+    with_it, without = np.array(companion), np.array(baseline)
+    draw = np.random.default_rng(1).integers(len(without), size=(4000, len(without)))
+    ratios = np.sqrt((with_it[draw] ** 2).mean(axis=1) / (without[draw] ** 2).mean(axis=1))
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    value = np.sqrt((with_it**2).mean() / (without**2).mean())
+    return {"ratio": round(float(value), 4), "low": round(float(low), 4), "high": round(float(high), 4)}
+
+
 def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
     """Totals; delays are from the failure to its declaration, and to the declaration's arrival on the autopilot."""
     flown = [f for f in flights if "companion" in f]
@@ -106,6 +120,7 @@ def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
     def median(values: list[float]) -> float | None:
         return round(statistics.median(values), 4) if values else None
 
+    ratio = rms_ratio([f["companion"]["position_rms_m"] for f in flown], [b["position_rms_m"] for b in base])
     return {
         "flights": len(flown),
         "errors": len(flights) - len(flown),
@@ -121,6 +136,7 @@ def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
         "position_error_median_m": median([f["companion"]["max_position_error_m"] for f in flown]),
         "position_error_max_m": max((f["companion"]["max_position_error_m"] for f in flown), default=None),
         "baseline_position_error_median_m": median([b["max_position_error_m"] for b in base]),
+        "position_rms_ratio": ratio,
         "height_lost_max_m": max((f["companion"]["height_lost_m"] or 0.0 for f in flown), default=None),
         "baseline_height_lost_min_m": min((b["height_lost_m"] or 0.0 for b in base), default=None),
         "tilt_median_deg": median([f["companion"]["max_tilt_deg"] for f in flown]),

@@ -24,6 +24,7 @@ from nff_companion.vehicle import Vehicle
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
+from sitl.plant import full_load_share
 from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server
 
@@ -37,7 +38,8 @@ _CLOCK_START_S = 1.0  # of the served time when the plant's is 0
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions:
-    """What to fly. ``binary`` lies in bin/ of a build folder that has etc/ beside it."""
+    """What to fly. ``binary`` lies in bin/ of a build folder that has etc/ beside it; ``thrust_to_weight`` is as a
+    thrust stand would measure it: at full throttle, with the battery's sag."""
 
     binary: Path
     airframe: str = "px4-octo-x"
@@ -86,7 +88,8 @@ def parameters(vehicle: Vehicle, options: FlyOptions) -> dict[str, str]:
     for i in range(vehicle.motors):
         values[f"CA_ROTOR{i}_PX"] = round(float(vehicle.position_m[i, 0]), 4)
         values[f"CA_ROTOR{i}_PY"] = round(float(vehicle.position_m[i, 1]), 4)
-        values[f"CA_ROTOR{i}_KM"] = 0.05 * float(vehicle.spin[i])
+        # Not the default 0.05: a value set to its default gives way to that of the start script.
+        values[f"CA_ROTOR{i}_KM"] = vehicle.motor.torque_per_thrust_m * float(vehicle.spin[i])
         values[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
     return {f"PX4_PARAM_{name}": str(value) for name, value in values.items()}
 
@@ -94,7 +97,8 @@ def parameters(vehicle: Vehicle, options: FlyOptions) -> dict[str, str]:
 @contextmanager
 def simulator(options: FlyOptions, vehicle: Vehicle, folder: Path) -> Iterator[Px4Server]:
     """PX4 and its physics, running."""
-    plant = plant_airframe.load(vehicle_model.path_of(options.airframe), thrust_to_weight=options.thrust_to_weight)
+    ratio = None if options.thrust_to_weight is None else options.thrust_to_weight / full_load_share()
+    plant = plant_airframe.load(vehicle_model.path_of(options.airframe), thrust_to_weight=ratio)
     wind = PhysicsOptions(seed=options.seed, wind_m_s=options.wind_m_s, turbulence_m_s=0.25 * options.wind_m_s)
     server = Px4Server(Physics(plant, wind), port=_SIM_PORT, seed=options.seed)
     server.speed = _FAST
@@ -139,6 +143,7 @@ class Truth:
         self.lowest_m = np.inf
         self.farthest_m = 0.0
         self.max_tilt_deg = 0.0
+        self._squares: list[float] = []
         self.reference = server.physics.position_m.copy()
         self.height_m = -float(self.reference[2])
 
@@ -146,7 +151,9 @@ class Truth:
         """Take the present state."""
         physics = self.server.physics
         self.lowest_m = min(self.lowest_m, -float(physics.position_m[2]))
-        self.farthest_m = max(self.farthest_m, float(np.linalg.norm(physics.position_m - self.reference)))
+        distance = float(np.linalg.norm(physics.position_m - self.reference))
+        self.farthest_m = max(self.farthest_m, distance)
+        self._squares.append(distance**2)
         tilt = float(np.degrees(rotation.tilt_of(physics.quaternion[None])[0]))
         self.max_tilt_deg = max(self.max_tilt_deg, tilt)
 
@@ -156,6 +163,7 @@ class Truth:
             "crashed": bool(self.server.physics.state.crashed[0]) or self.lowest_m < 0.5,
             "max_tilt_deg": round(self.max_tilt_deg, 2),
             "max_position_error_m": round(self.farthest_m, 3),
+            "position_rms_m": round(float(np.sqrt(np.mean(self._squares or [0.0]))), 4),
             "height_lost_m": round(max(self.height_m - self.lowest_m, 0.0), 3),
         }
 

@@ -57,13 +57,15 @@ class FlightRecord:
         heights = -position[during, 2]
         worst_tilt = float(tilts.max()) if tilts.size else 0.0
         crashed = worst_tilt > _CRASH_TILT_DEG or (heights.size > 0 and float(heights.min()) < _GROUND_M)
-        off = 0.0
+        off = rms = 0.0
         if reference is not None and during.any():
-            off = float(distance_to_path(position[during], reference).max())
+            distance = distance_to_path(position[during], reference)
+            off, rms = float(distance.max()), float(np.sqrt((distance**2).mean()))
         return {
             "crashed": bool(crashed),
             "max_tilt_deg": round(worst_tilt, 2),
             "max_position_error_m": round(off, 3),
+            "position_rms_m": round(rms, 4),
             "height_lost_m": None
             if heights.size == 0 or reference is None
             else round(max(float(-reference[:, 2].mean() - heights.min()), 0.0), 3),
