@@ -27,6 +27,9 @@ def octo() -> vehicle.Vehicle:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for variable, what in (("NFF_ARDUCOPTER", "ArduCopter"), ("NFF_PX4", "PX4")):
+        if not os.environ.get(variable):
+            terminalreporter.write_line(f"{variable} is not set: NO REAL {what} WAS FLOWN (README, Real firmware)")
     if not os.environ.get("NFF_DATA"):
         terminalreporter.write_line(
             "NFF_DATA is not set: the tests on recorded flights DID NOT RUN (README, section Data)", red=True, bold=True

@@ -1,0 +1,365 @@
+"""What every MAVLink component is expected to do: endpoints, streams, time, texts, parameters, the computer's state."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nff_companion import host, vehicle
+from nff_companion.autopilots.base import Stream
+from nff_companion.autopilots.parameters import ParameterReader, name_of
+from nff_companion.autopilots.streams import StreamMonitor
+from nff_companion.config import load
+from nff_companion.daemon import Daemon
+from nff_companion.errors import EndpointError
+from nff_companion.link.codec import Codec, dialect
+from nff_companion.link.endpoint import parse
+from nff_companion.link.hub import Hub
+from nff_companion.link.timesync import TimeSync
+from nff_companion.notify import Notifier
+from nff_companion.parameter_server import ParameterServer
+from nff_companion.pilot_text import PilotText
+from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.trials.demo import free_port
+from nff_companion.trials.process import config_text
+
+HEARTBEAT = dialect.MAVLink_heartbeat_message(14, 3, 128, 4, 4, 3)
+
+
+class Clock:
+    """Time that the test moves."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def until(poll: select.poll, hub: Hub, now: float, wanted: int = 1) -> list:
+    """Messages that arrive at a hub within a second of real time."""
+    out: list = []
+    deadline = time.monotonic() + 1.0
+    while len(out) < wanted and time.monotonic() < deadline:
+        for descriptor, _ in poll.poll(20):
+            out += hub.read(descriptor, now)
+    return out
+
+
+# -- endpoints --------------------------------------------------------------------------------------------------------
+
+
+def test_several_endpoints_at_once_and_each_comes_back() -> None:
+    poll = select.poll()
+    udp, tcp = free_port(), free_port()
+    listener = socket.create_server(("127.0.0.1", tcp))
+    hub = Hub([f"udpin:127.0.0.1:{udp}", f"tcp:127.0.0.1:{tcp}"], 1, 191, poll, 0.0)
+    peer, _ = listener.accept()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(Codec(1, 1).pack(HEARTBEAT), ("127.0.0.1", udp))
+        assert [index for _, index in until(poll, hub, 0.0)] == [0]
+        peer.sendall(Codec(1, 1).pack(HEARTBEAT))
+        assert [index for _, index in until(poll, hub, 0.0)] == [1]
+        hub.send(HEARTBEAT, None, 0.0)
+        assert sender.recv(300)[0] == 0xFD
+        assert peer.recv(300)[0] == 0xFD
+        peer.close()
+        listener.close()
+        assert until(poll, hub, 1.0, wanted=1) == []  # the close is noticed
+        hub.maintain(1.5)  # too early, and nobody listens
+        listener = socket.create_server(("127.0.0.1", tcp))
+        hub.maintain(3.0)
+        peer, _ = listener.accept()
+        peer.sendall(Codec(1, 1).pack(HEARTBEAT))
+        assert [index for _, index in until(poll, hub, 3.0)] == [1]
+        # The other one was never disturbed.
+        sender.sendto(Codec(1, 1).pack(HEARTBEAT), ("127.0.0.1", udp))
+        assert [index for _, index in until(poll, hub, 3.0)] == [0]
+    hub.close()
+    peer.close()
+    listener.close()
+
+
+def test_one_endpoint_that_cannot_be_opened_does_not_stop_the_others() -> None:
+    nobody = free_port()
+    hub = Hub([f"tcp:127.0.0.1:{nobody}", f"udpin:127.0.0.1:{free_port()}"], 1, 191, select.poll(), 0.0)
+    hub.close()
+    with pytest.raises(EndpointError, match="listening"):
+        Hub([f"tcp:127.0.0.1:{nobody}"], 1, 191, select.poll(), 0.0)
+
+
+def test_tcpin_serves_one_client_after_the_other() -> None:
+    poll, port = select.poll(), free_port()
+    hub = Hub([f"tcpin:127.0.0.1:{port}"], 1, 191, poll, 0.0)
+    for _ in range(2):
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            client.sendall(Codec(1, 1).pack(HEARTBEAT))
+            assert len(until(poll, hub, 0.0)) == 1
+            hub.send(HEARTBEAT, 0, 0.0)
+            assert client.recv(300)[0] == 0xFD
+        until(poll, hub, 0.0)
+    hub.close()
+
+
+def test_a_serial_port_tries_the_next_baud_while_nothing_readable_comes() -> None:
+    master, slave = pty.openpty()
+    name = os.ttyname(slave)
+    assert parse(f"{name}:921600,57600").bauds == (921600, 57600)
+    poll = select.poll()
+    hub = Hub([f"{name}:921600,57600"], 1, 191, poll, 0.0)
+    port = hub._ports[0]
+    assert port.endpoint._port.baudrate == 921600
+    os.write(master, b"\x81\x92garbage\xff" * 4)
+    until(poll, hub, 0.5)
+    hub.maintain(2.5)
+    hub.maintain(2.6)
+    assert port.endpoint._port.baudrate == 57600
+    os.write(master, Codec(1, 1).pack(HEARTBEAT))
+    assert len(until(poll, hub, 3.0)) == 1
+    hub.maintain(60.0)  # readable: it stays
+    assert port.endpoint._port.baudrate == 57600
+    hub.send(HEARTBEAT, None, 60.0)
+    assert os.read(master, 300)[0] == 0xFD
+    hub.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_slow_serial_line_drops_frames_whole() -> None:
+    master, slave = pty.openpty()
+    poll = select.poll()
+    hub = Hub([f"{os.ttyname(slave)}:57600"], 1, 191, poll, 0.0)
+    for _ in range(3000):  # far more than the line's buffer holds
+        hub.send(HEARTBEAT, None, 0.0)
+    os.set_blocking(master, False)
+    received = bytearray()
+    codec = Codec(1, 1)
+    try:
+        while chunk := os.read(master, 65536):
+            received += chunk
+    except BlockingIOError:
+        pass
+    messages = codec.parse(bytes(received))
+    assert len(messages) > 20
+    assert codec.bad_frames == 0
+    hub.close()
+    os.close(master)
+    os.close(slave)
+
+
+# -- streams and time -------------------------------------------------------------------------------------------------
+
+
+def test_what_comes_too_slowly_is_asked_for_again_and_named() -> None:
+    monitor = StreamMonitor()
+    fast = Stream(dialect.MAVLINK_MSG_ID_HIGHRES_IMU, 200.0)
+    slow = Stream(dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, 200.0)
+    optional = Stream(dialect.MAVLINK_MSG_ID_ESC_STATUS, 100.0, required=False)
+    streams = [fast, slow, optional]
+    assert len(monitor.requests(streams, (1, 1), 0.0)) == 3
+    for k in range(2000):
+        now = k / 200.0
+        monitor.heard(fast.message_id, now)
+        if k % 2 == 0:
+            monitor.heard(slow.message_id, now)
+    assert monitor.rate_hz(fast.message_id, 10.0) == pytest.approx(200.0, rel=0.02)
+    assert monitor.slow(streams, 10.0).keys() == {"SERVO_OUTPUT_RAW"}
+    asked = {int(m.param1) for m in monitor.requests(streams, (1, 1), 10.0)}
+    assert asked == {slow.message_id, optional.message_id}
+    for k in range(10):
+        last = monitor.requests(streams, (1, 1), 11.0 + k)
+    assert optional.message_id not in {int(m.param1) for m in last}, "this autopilot does not have it"
+
+
+def test_timesync_answers_asks_and_ignores_the_late() -> None:
+    sync = TimeSync()
+    (question,) = sync.tick(5_000_000_000)
+    assert (question.tc1, question.ts1) == (0, 5_000_000_000)
+    assert sync.tick(5_100_000_000) == []
+    reply = dialect.MAVLink_timesync_message(8_002_000_000, 5_000_000_000)
+    assert sync.observe(reply, 5_004_000_000) == []
+    assert sync.round_trip_s == pytest.approx(0.004)
+    assert sync.offset_s == pytest.approx(3.0)
+    sync.observe(dialect.MAVLink_timesync_message(1, 5_000_000_000), 9_000_000_000)
+    assert sync.offset_s == pytest.approx(3.0)
+    (answer,) = sync.observe(dialect.MAVLink_timesync_message(0, 77), 6_000_000_000)
+    assert (answer.tc1, answer.ts1) == (6_000_000_000, 77)
+
+
+def test_parameters_are_read_until_answered_or_known_to_be_absent() -> None:
+    reader = ParameterReader(["A", "B"], (1, 1), bytewise=False)
+    now = 0.0
+    while not reader.complete:
+        for message in reader.tick(now):
+            if name_of(message) == "A":
+                reader.observe(dialect.MAVLink_param_value_message(b"A", 2.5, 9, 1, 0))
+        now += 0.1
+        assert now < 10.0
+    assert reader.values == {"A": 2.5}
+    assert reader.absent == ["B"]
+
+
+# -- texts, parameters, host ------------------------------------------------------------------------------------------
+
+
+def test_texts_are_short_and_do_not_flood_but_a_failure_always_passes() -> None:
+    text = PilotText()
+    warning, critical = dialect.MAV_SEVERITY_WARNING, dialect.MAV_SEVERITY_CRITICAL
+    assert len(text.say("the same", warning, 0.0)) == 1
+    assert text.say("the same", warning, 5.0) == []
+    sent = sum(len(text.say(f"text {k}", warning, 6.0 + 0.01 * k)) for k in range(100))
+    assert sent == 4
+    (message,) = text.say("Motor 3 failed (eff 0.02): reallocated", critical, 7.5)
+    assert message.text == "Motor 3 failed (eff 0.02): reallocated"
+    assert len(text.say("x" * 80, critical, 8.0)[0].text) <= 50
+    assert text.withheld >= 96
+
+
+@pytest.fixture
+def server() -> ParameterServer:
+    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
+    server = ParameterServer(pipeline, 191, pipeline.set_mode)
+    server.adopt(1)
+    return server
+
+
+def ask(server: ParameterServer, message) -> list:
+    (received,) = Codec(1, 191).parse(Codec(255, 190).pack(message))
+    return server.answer(received)
+
+
+def put(server: ParameterServer, name: str, value: float, component: int = 191) -> list:
+    return ask(server, dialect.MAVLink_param_set_message(1, component, name.encode(), value, 9))
+
+
+def test_a_ground_station_lists_reads_and_sets(server: ParameterServer) -> None:
+    listed = ask(server, dialect.MAVLink_param_request_list_message(1, 0))
+    assert [m.param_index for m in listed] == list(range(len(listed)))
+    assert all(m.param_count == len(listed) for m in listed)
+    assert all(len(name_of(m)) <= 16 for m in listed)
+    (value,) = ask(server, dialect.MAVLink_param_request_read_message(1, 191, b"NFF_MODE", -1))
+    assert value.param_value == 1.0
+    (value,) = put(server, "NFF_MODE", 0.0)
+    assert value.param_value == 0.0
+    assert server._pipeline.mode == Mode.OBSERVE
+    (value,) = put(server, "NFF_MARGIN", 9.0)
+    assert value.param_value == 9.0
+    assert server._pipeline.estimator.options.decision.margin_min == 9.0
+
+
+def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(server: ParameterServer) -> None:
+    for value in (99.0, -1.0, float("nan"), float("inf")):
+        (answer,) = put(server, "NFF_MODE", value)
+        assert answer.param_value == 1.0
+    assert put(server, "NFF_MODE", 0.0, component=1) == []
+    assert put(server, "NFF_MODE", 0.0, component=0) == [], "a broadcast must not set anything"
+    assert put(server, "UNKNOWN", 0.0) == []
+    assert ask(server, dialect.MAVLink_param_request_list_message(7, 0)) == []
+    assert server._pipeline.mode == Mode.ALLOCATE
+
+
+def test_the_computers_state_is_sendable() -> None:
+    message = host.status_message()
+    (received,) = Codec(1, 1).parse(Codec(1, 191).pack(message))
+    assert received.ram_total > 100
+    assert 0 < received.ram_usage <= received.ram_total
+    assert 1 <= sum(core != 255 for core in received.cpu_cores) <= 8
+
+
+# -- daemon -----------------------------------------------------------------------------------------------------------
+
+
+class Listening:
+    """A daemon in this process, a clock in our hand, and a ground station that listens."""
+
+    def __init__(self, folder: Path) -> None:
+        port = free_port()
+        path = folder / "c.toml"
+        path.write_text(
+            config_text(
+                endpoint=f"udpin:127.0.0.1:{port}", airframe="octo-x", mode="observe", rate_hz=200, socket=folder / "s"
+            )
+        )
+        self.clock = Clock()
+        self.daemon = Daemon(load(path), Notifier(), self.clock)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect(("127.0.0.1", port))
+        self.socket.settimeout(0.05)
+        self.codec = Codec(3, 1)
+
+    def say(self, message) -> None:
+        self.socket.send(self.codec.pack(message))
+
+    def hear(self, seconds: float) -> list:
+        """Messages while the daemon's clock runs on by ``seconds``."""
+        out: list = []
+        end = self.clock.now + seconds
+        while self.clock.now < end:
+            self.clock.now += 0.05
+            self.daemon.turn(0.001)
+            try:
+                while True:
+                    out += self.codec.parse(self.socket.recv(2048))
+            except TimeoutError:
+                pass
+        return out
+
+    def __enter__(self) -> Listening:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.daemon.close()
+        self.socket.close()
+
+
+def test_the_daemon_introduces_itself_and_falls_silent_when_its_estimator_fails(tmp_path: Path) -> None:
+    with Listening(tmp_path) as there:
+        there.say(HEARTBEAT)
+        heard = there.hear(3.0)
+        kinds = {m.get_type() for m in heard}
+        assert {"HEARTBEAT", "NFF_COMPANION_STATUS", "ONBOARD_COMPUTER_STATUS", "TIMESYNC", "COMMAND_LONG"} <= kinds
+        beats = [m for m in heard if m.get_type() == "HEARTBEAT"]
+        assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats[1:]} == {(3, 191)}, "the vehicle's system"
+        assert beats[-1].type == dialect.MAV_TYPE_ONBOARD_CONTROLLER
+        there.daemon.pipeline.fault = "estimator: broken"
+        assert not [m for m in there.hear(3.0) if m.get_type() == "HEARTBEAT"]
+        there.daemon.pipeline.fault = ""
+        assert [m for m in there.hear(2.0) if m.get_type() == "HEARTBEAT"]
+
+
+def test_the_daemon_answers_parameters_and_timesync_of_a_ground_station(tmp_path: Path) -> None:
+    with Listening(tmp_path) as there:
+        there.say(HEARTBEAT)
+        there.hear(0.3)
+        there.say(dialect.MAVLink_param_set_message(3, 191, b"NFF_MODE", 1.0, 9))
+        there.say(dialect.MAVLink_timesync_message(0, 1234))
+        heard = there.hear(0.3)
+        values = [m for m in heard if m.get_type() == "PARAM_VALUE"]
+        assert [(name_of(m), m.param_value) for m in values] == [("NFF_MODE", 1.0)]
+        assert any(m.get_type() == "TIMESYNC" and m.ts1 == 1234 for m in heard)
+        assert there.daemon.pipeline.mode == Mode.ALLOCATE
+
+
+def test_an_unknown_autopilot_is_said_and_left_alone(tmp_path: Path) -> None:
+    with Listening(tmp_path) as there:
+        there.say(dialect.MAVLink_heartbeat_message(14, 18, 128, 4, 4, 3))
+        heard = there.hear(1.0)
+        assert any(m.get_type() == "STATUSTEXT" and "not supported" in str(m.text) for m in heard)
+        assert not [m for m in heard if m.get_type() == "COMMAND_LONG"]
+
+
+def test_telemetry_filters_are_taken_from_the_autopilot_on_the_ground() -> None:
+    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
+    before = pipeline.estimator
+    other = vehicle.TelemetryTable(40.0, 30.0)
+    assert pipeline.describe_telemetry(other)
+    assert pipeline.vehicle.telemetry == other
+    assert pipeline.estimator is not before
+    assert np.array_equal(pipeline.vehicle.effectiveness, vehicle.load("octo-x").effectiveness)
