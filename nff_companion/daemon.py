@@ -46,7 +46,11 @@ class Daemon:
         self.pipeline = Pipeline(self.vehicle, config.link.rate_hz, config.pipeline_options())
         folder = Path(config.companion.state_folder or default_state_folder())
         self._meeting = Meeting(
-            self.vehicle, config.link.autopilot, config.companion.allocation, folder / "parameters.journal"
+            self.vehicle,
+            config.link.autopilot,
+            config.companion.allocation,
+            folder / "parameters.journal",
+            config.link.px4_method,
         )
         self._poll = select.poll()
         urls = [config.link.endpoint, *config.link.more_endpoints]

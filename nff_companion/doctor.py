@@ -27,7 +27,11 @@ class Doctor:
         self.vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
         folder = Path(config.companion.state_folder or default_state_folder())
         self._meeting = Meeting(
-            self.vehicle, config.link.autopilot, config.companion.allocation, folder / "parameters.journal"
+            self.vehicle,
+            config.link.autopilot,
+            config.companion.allocation,
+            folder / "parameters.journal",
+            config.link.px4_method,
         )
         self._poll = select.poll()
         urls = [config.link.endpoint, *config.link.more_endpoints]

@@ -18,6 +18,7 @@ from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geometry_of
 from nff_companion.errors import JournalError
+from nff_companion.link.codec import dialect
 from nff_companion.pipeline import Mode, Output
 from nff_companion.vehicle import Vehicle
 
@@ -261,6 +262,56 @@ def test_a_journal_that_cannot_be_written_stops_the_change(tmp_path: Path) -> No
     adapter.act(output(model, (3,)))
     talk(adapter, px4, now, 0.5)
     assert px4.sets == []
+
+
+# -- injection --------------------------------------------------------------------------------------------------------
+
+NEEDS = {"SYS_FAILURE_EN": 1.0, "CA_FAILURE_MODE": 1.0, "FD_ACT_EN": 1.0}
+
+
+def injecting(folder: Path, px4: FakePx4) -> tuple[Px4Adapter, float]:
+    adapter = Px4Adapter(octo(), (1, 1), folder / "journal", "inject")
+    now = talk(adapter, px4, 0.0, 4.0)
+    px4.armed = True
+    return adapter, talk(adapter, px4, now, 0.1)
+
+
+@pytest.mark.parametrize(("version", "kind"), [(0x011000FF, "OFF"), (0x011100FF, "STUCK")])
+def test_injection_means_what_the_version_says_and_changes_no_parameter(
+    version: int, kind: str, tmp_path: Path
+) -> None:
+    px4 = FakePx4(octo(), version, **NEEDS)
+    adapter, now = injecting(tmp_path, px4)
+    assert adapter.blocked(now, Mode.ALLOCATE) == ""
+    (command,) = adapter.act(output(octo(), (3,)))
+    assert command.command == dialect.MAV_CMD_INJECT_FAILURE
+    assert (command.param1, command.param3) == (dialect.FAILURE_UNIT_SYSTEM_MOTOR, 3.0)
+    assert command.param2 == getattr(dialect, f"FAILURE_TYPE_{kind}")
+    again = [m for m in adapter.tick(now + 0.2) if m.get_type() == "COMMAND_LONG"]
+    assert [m.param3 for m in again] == [3.0], "unanswered: sent again"
+    acknowledged = dialect.MAVLink_command_ack_message(dialect.MAV_CMD_INJECT_FAILURE, 0)
+    adapter.observe(acknowledged)
+    assert list(np.flatnonzero(adapter.applied.failed)) == [2]
+    assert adapter.tick(now + 0.4) == []
+    assert adapter.act(output(octo(), (3, 6), 11.0)) == []
+    assert "one injected failure" in adapter.complaints()[0]
+    (lifted,) = adapter.act(output(octo(), (), 12.0))
+    assert lifted.param2 == dialect.FAILURE_TYPE_OK
+    assert px4.sets == []
+    assert not (tmp_path / "journal").exists()
+
+
+@pytest.mark.parametrize(
+    ("version", "changes", "reason"),
+    [(0x010F00FF, NEEDS, "does not reallocate"), (0x011000FF, {**NEEDS, "CA_FAILURE_MODE": 0.0}, "CA_FAILURE_MODE")],
+)
+def test_injection_that_would_do_nothing_is_refused_with_a_reason(
+    version: int, changes: dict[str, float], reason: str, tmp_path: Path
+) -> None:
+    px4 = FakePx4(octo(), version, **changes)
+    adapter, now = injecting(tmp_path, px4)
+    assert reason in adapter.blocked(now, Mode.ALLOCATE)
+    assert adapter.act(output(octo(), (3,))) == []
 
 
 # -- journal ----------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.nff_dialect import NffDialectAdapter
-from nff_companion.autopilots.px4.adapter import Px4Adapter
+from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
 from nff_companion.link.codec import dialect
 from nff_companion.vehicle import Vehicle
 
@@ -20,8 +20,8 @@ Kind = Literal["auto", "nff", "ardupilot", "px4"]
 class Meeting:
     """Makes adapters for one vehicle; allocations ahead of time are computed once, at start."""
 
-    def __init__(self, vehicle: Vehicle, kind: Kind, method: str, journal: Path) -> None:
-        self._vehicle, self._kind, self._journal = vehicle, kind, journal
+    def __init__(self, vehicle: Vehicle, kind: Kind, method: str, journal: Path, px4_method: Method = "scale") -> None:
+        self._vehicle, self._kind, self._journal, self._px4_method = vehicle, kind, journal, px4_method
         self._plans: dict[int, Plan] = tables.compute(vehicle, allocator(method)) if kind != "nff" else {}
 
     def first(self, target: tuple[int, int], autopilot: int) -> Adapter | None:
@@ -36,7 +36,7 @@ class Meeting:
         if kind == "ardupilot":
             return ArduPilotAdapter(self._vehicle, target, self._plans)
         if kind == "px4":
-            return Px4Adapter(self._vehicle, target, self._journal)
+            return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)
         return NffDialectAdapter(self._vehicle, target) if kind == "nff" else None
 
     def better(self, adapter: Adapter, message_id: int) -> Adapter | None:

@@ -18,6 +18,7 @@ def survey(
     singles: Annotated[bool, typer.Option("--singles", help="Every single failure (the default).")] = False,
     pairs: Annotated[bool, typer.Option("--pairs", help="Every simultaneous double failure.")] = False,
     healthy: Annotated[float, typer.Option("--healthy", help="Minutes to fly without a failure instead.")] = 0.0,
+    compare: Annotated[bool, typer.Option("--compare", help="Healthy flights without the companion too.")] = False,
     seeds: Annotated[int, typer.Option(help="Seeds for each set of failures.")] = 3,
     airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
     rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
@@ -48,6 +49,7 @@ def survey(
     options = surveys.SurveyOptions(
         airframe=airframe,
         personality=personality,
+        compare=compare,
         rotor_speeds=rotor_speeds,
         thrust_to_weight=thrust_to_weight or None,
         seeds=seeds,

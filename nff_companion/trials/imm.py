@@ -100,6 +100,7 @@ class ImmEstimator:
         specific_force: np.ndarray,
         command: np.ndarray,
         dt_s: float,
+        stopped: np.ndarray | None = None,
     ) -> tuple[ImmState, Estimate]:
         """One sample."""
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)

@@ -16,6 +16,7 @@ from nff_companion import vehicle as vehicle_model
 from nff_companion.estimation.decision import Event
 from nff_companion.pipeline import Mode, PipelineOptions
 from nff_companion.trials import healthy
+from nff_companion.trials.comparison import rms_ratio
 from nff_companion.trials.detectors import pipeline_factory
 from nff_companion.trials.virtual import Companion, VirtualFlight
 from nff_companion.trials.wire import WireCompanion, Workshop, temporary_card
@@ -45,6 +46,7 @@ class SurveyOptions:
     mode: Mode = Mode.ALLOCATE
     detector: str = "sparse"
     personality: str = "plain"
+    compare: bool = False
     rotor_speeds: bool = False
 
 
@@ -54,6 +56,7 @@ class _Record:
 
     max_tilt_deg: float = 0.0
     max_position_error_m: float = 0.0
+    position_rms_m: float = 0.0
 
 
 def failure_sets(motors: int, *, pairs: bool) -> list[tuple[int, ...]]:
@@ -74,6 +77,10 @@ def run_healthy(options: SurveyOptions, minutes: float, workers: int | None = No
     results = _spread(_fly_healthy, options, [((), seed) for seed in range(1, count + 1)], workers)
     document: dict[str, Any] = {"options": _described(options), "flights": results, "summary": summary(results)}
     document["summary"]["minutes"] = count * healthy.DURATION_S / 60.0
+    if options.compare:
+        document["summary"]["position_rms_ratio"] = rms_ratio(
+            [f["position_rms_m"] for f in results], [f["baseline_position_rms_m"] for f in results]
+        )
     return document
 
 
@@ -182,14 +189,17 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
 
 
 def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], int]]) -> list[dict[str, Any]]:
-    seeds = [seed for _, seed in flights]
+    """With ``options.compare`` the second half of the fleet are the same vehicles without the companion."""
+    count = len(flights)
+    seeds = [seed for _, seed in flights] * (2 if options.compare else 1)
     with temporary_card() as card:
-        flight = _build(options, seeds, [], list(range(len(seeds))), card, gusts=healthy.gusts(len(seeds)))
+        flight = _build(options, seeds, [], list(range(count)), card, gusts=healthy.gusts(len(seeds)))
         script = healthy.Script(flight.fleet)
         records = _record_until(flight, 0.0, healthy.DURATION_S, script)
     results = []
-    for index, seed in enumerate(seeds):
+    for index, (_, seed) in enumerate(flights):
         events = _declarations(flight.companions[index])
+        baseline = records[count + index].position_rms_m if options.compare else None
         results.append(
             {
                 "motors": [],
@@ -200,6 +210,8 @@ def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], in
                 "delay_s": None,
                 "max_tilt_deg": round(records[index].max_tilt_deg, 2),
                 "max_position_error_m": round(records[index].max_position_error_m, 3),
+                "position_rms_m": round(records[index].position_rms_m, 4),
+                "baseline_position_rms_m": None if baseline is None else round(baseline, 4),
                 "false_alarms": len(events),
                 "declared_at_s": [round(time_s, 3) for time_s, _ in events],
             }
@@ -218,6 +230,7 @@ def _record_until(
     fleet = flight.fleet
     tilt = np.zeros(fleet.vehicles)
     error = np.zeros(fleet.vehicles)
+    squares, counted = np.zeros(fleet.vehicles), np.zeros(fleet.vehicles)
     for _ in range(math.ceil((until_s - fleet.time_s) * AUTOPILOT_RATE_HZ)):
         if script is not None:
             script.step(fleet.time_s)
@@ -228,7 +241,10 @@ def _record_until(
         distance = np.linalg.norm(fleet.state.position_m - fleet.autopilot.position.path, axis=1)
         tilt = np.where(up, np.maximum(tilt, rotation.tilt_of(fleet.state.quaternion)), tilt)
         error = np.where(up, np.maximum(error, distance), error)
-    return [_Record(float(np.degrees(t)), float(e)) for t, e in zip(tilt, error, strict=True)]
+        squares += np.where(up, distance**2, 0.0)
+        counted += up
+    rms = np.sqrt(squares / np.maximum(counted, 1.0))
+    return [_Record(float(np.degrees(t)), float(e), float(r)) for t, e, r in zip(tilt, error, rms, strict=True)]
 
 
 def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:

@@ -8,11 +8,13 @@ the air nothing is restored: a dead motor stays told as dead until the vehicle h
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
 from nff_companion.autopilots.parameters import ParameterReader, encode
+from nff_companion.autopilots.px4.injection import INJECTION_NEEDS, Injection
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, disagreement, geometry_of
 from nff_companion.autopilots.px4.versions import behaviour, version_of
@@ -36,19 +38,24 @@ _REAL = int(dialect.MAV_PARAM_TYPE_REAL32)
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 
 
+Method = Literal["scale", "inject"]
+
+
 class Px4Adapter:
     """One vehicle. ``target`` is the autopilot's (system, component)."""
 
     name = "px4"
     farewell_s = 2.0
 
-    def __init__(self, vehicle: Vehicle, target: tuple[int, int], journal: Path) -> None:
+    def __init__(self, vehicle: Vehicle, target: tuple[int, int], journal: Path, method: Method = "scale") -> None:
+        """``method``: scale (CA_ROTORn_CT) or inject (MAV_CMD_INJECT_FAILURE: no parameter is changed, but the first
+        total failure alone can be told)."""
         self._vehicle, self.target = vehicle, target
         self.capabilities = Capabilities(declare=True, matrix=False, outputs=False)
         self.applied = Applied()
         self._decoder = TelemetryDecoder(vehicle)
         rotors = [f"CA_ROTOR{i}_{suffix}" for i in range(vehicle.motors) for suffix in _SUFFIXES]
-        others = ["CA_ROTOR_COUNT", "CA_METHOD", "MC_AIRMODE", "THR_MDL_FAC"]
+        others = ["CA_ROTOR_COUNT", "CA_METHOD", "MC_AIRMODE", "THR_MDL_FAC", *INJECTION_NEEDS]
         functions = [f"PWM_MAIN_FUNC{i}" for i in range(1, vehicle.motors + 1)]
         self.parameters = ParameterReader([*rotors, *others, *functions], target, bytewise=True)
         self._journal = Journal(journal)
@@ -64,7 +71,7 @@ class Px4Adapter:
         self._wanted: dict[str, float] = {}  # parameters that are not yet confirmed, in the order to send
         self._sent_s = self._tick_s = -np.inf
         self._journaled = False
-        self._leaving = False
+        self._injection = Injection(vehicle.motors, target) if method == "inject" else None
         self._target_effectiveness = np.ones(vehicle.motors)
         self._refused_for: np.ndarray | None = None
         self._changed_s = -np.inf
@@ -99,6 +106,11 @@ class Px4Adapter:
             self._version = version_of(message.flight_sw_version)
             uid2 = bytes(getattr(message, "uid2", b"")[:18])
             self._autopilot = f"{message.uid:016x}-{uid2.hex()}"
+            return None
+        if kind == "COMMAND_ACK" and self._injection is not None:
+            if self._injection.observe(message):
+                self.applied.failed = np.arange(1, self._vehicle.motors + 1) == (self._injection.motor or 0)
+                self.applied.source = int(self._injection.motor is not None)
             return None
         if kind == "HEARTBEAT":
             was, self._armed = self._armed, bool(message.base_mode & _ARMED)
@@ -147,6 +159,8 @@ class Px4Adapter:
             self._trouble = str(error) if isinstance(error, JournalError) else f"PX4 does not answer for {error}"
             return
         self._trouble = disagreement(geometry, self._vehicle) or self._wrong_output()
+        if self._injection is not None and self._version is not None and not self._trouble:
+            self._trouble = self._injection.prepare(self._version, values)
         if self._trouble:
             return
         self._found, self._journaled = found, bool(left)
@@ -186,6 +200,8 @@ class Px4Adapter:
         self._sent_s = -np.inf
 
     def _restore(self) -> None:
+        if self._injection is not None:
+            self._injection.motor = None  # PX4 forgets it by itself when it disarms
         if self._found:
             self._target_effectiveness = np.ones(self._vehicle.motors)
             self._refused_for = None
@@ -236,6 +252,8 @@ class Px4Adapter:
         if self._advisor is None and not self._trouble and self.parameters.complete and self._armed is not None:
             self._begin()
         out += self._sets(now_s)
+        if self._injection is not None:
+            out += self._injection.tick(now_s)
         if self._journaled and not self._wanted and self._armed is False and self._found and self._original():
             try:
                 self._journal.clear()
@@ -248,7 +266,8 @@ class Px4Adapter:
 
     def complaints(self) -> list[str]:
         """What stands in the way, and a declaration that may not be sent."""
-        return [text for text in (self._trouble, self._note) if text]
+        note = self._note if self._injection is None else self._injection.note
+        return [text for text in (self._trouble, note) if text]
 
     def findings(self) -> list[Finding]:
         """Version, rotors, and a journal that is left over."""
@@ -289,8 +308,11 @@ class Px4Adapter:
             return []
         if self._refused_for is not None and bool((self._refused_for == believed).all()):
             return []
-        remedy = self._advisor.remedy(believed)
         self._changed_s = output.time_s
+        if self._injection is not None:
+            self._target_effectiveness = believed
+            return self._injection.act(believed, self._advisor)
+        remedy = self._advisor.remedy(believed)
         if isinstance(remedy, NoRemedy):
             self._refused_for = believed
             self._note = f"not told to PX4: {remedy.reason}"

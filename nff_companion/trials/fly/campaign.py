@@ -9,8 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
+from nff_companion.trials.comparison import rms_ratio
 from nff_companion.trials.fly import arducopter, px4
 from nff_companion.trials.fly.arducopter import FlyOptions
 from nff_companion.trials.fly.pilot import FlightError
@@ -95,18 +94,6 @@ def _attempt(
             flight = {"options": {"failures": failures}, "error": str(error), "attempt": attempt}
     say(flight)
     return flight
-
-
-def rms_ratio(companion: list[float], baseline: list[float]) -> dict[str, float] | None:
-    """Tracking error with the companion over that without, with a 95 % interval by bootstrap over the flights."""
-    if len(companion) != len(baseline) or not baseline or min(baseline) <= 0.0:
-        return None
-    with_it, without = np.array(companion), np.array(baseline)
-    draw = np.random.default_rng(1).integers(len(without), size=(4000, len(without)))
-    ratios = np.sqrt((with_it[draw] ** 2).mean(axis=1) / (without[draw] ** 2).mean(axis=1))
-    low, high = np.percentile(ratios, [2.5, 97.5])
-    value = np.sqrt((with_it**2).mean() / (without**2).mean())
-    return {"ratio": round(float(value), 4), "low": round(float(low), 4), "high": round(float(high), 4)}
 
 
 def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
