@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -48,3 +49,22 @@ def allocation(
         for case in ("healthy", "1", "1+2", "1+3"):
             if case in result["torque"]:
                 console.print(f"   {case:8} {result['torque'][case]}", highlight=False)
+
+
+@app.command("ardupilot")
+def ardupilot(
+    arducopter: Annotated[Path | None, typer.Option(help="arducopter SITL binary; or NFF_ARDUCOPTER.")] = None,
+    rate: Annotated[list[float] | None, typer.Option("--rate", help="Telemetry rate in Hz; several.")] = None,
+    count: Annotated[int, typer.Option(help="Declarations at each rate.")] = 100,
+    json: Json = False,
+) -> None:
+    """Declaration to changed motor output on a real ArduCopter in hover, and the link's load, at telemetry rates."""
+    from nff_companion.trials.fly.arducopter import binary_from
+    from nff_companion.trials.fly.latency import measure
+
+    document = measure(binary_from(arducopter), rate or [50.0, 100.0, 200.0], count)
+    if json:
+        print_json(document)
+        return
+    for row in document["rates"]:
+        console.print(", ".join(f"{key} {value}" for key, value in row.items()), highlight=False, soft_wrap=True)

@@ -56,7 +56,7 @@ def _array(values: np.ndarray) -> str:
 def answer(physics: Physics, gyro: np.ndarray, force: np.ndarray) -> bytes:
     """The state as the interface wants it."""
     return (
-        f'\n{{"timestamp":{physics.time_s:.6f},'
+        f'\n{{"timestamp":{physics.time_s:.9f},'
         f'"imu":{{"gyro":{_array(gyro)},"accel_body":{_array(force)}}},'
         f'"position":{_array(physics.position_m)},'
         f'"velocity":{_array(physics.velocity_m_s)},'

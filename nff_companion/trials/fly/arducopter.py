@@ -141,6 +141,11 @@ class Simulator:
         self._log.close()
 
 
+def companion_port(options: FlyOptions) -> int:
+    """TCP port of the second serial port, where the companion is connected."""
+    return _PORT + 10 * options.instance + 2
+
+
 def square(centre: tuple[float, float, float]) -> np.ndarray:
     """(5, 3) corners of the square flown, the first one again at the end."""
     x, y, z = centre
@@ -157,13 +162,13 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> tuple[Fli
     with Simulator(options, vehicle, folder, with_applet=with_companion) as simulator:
         try:
             pilot.connect(30.0)
-            _take_off(pilot, options)
+            take_off(pilot, options)
             pilot.set_parameter("SIM_SPEEDUP", 1.0)
             if not with_companion:
                 return record, _test(pilot, record, options)
             config = folder / "companion.toml"
             text = config_text(
-                endpoint=f"tcp:127.0.0.1:{_PORT + 10 * options.instance + 2}",
+                endpoint=f"tcp:127.0.0.1:{companion_port(options)}",
                 airframe=options.airframe,
                 mode=options.mode,
                 rate_hz=options.rate_hz,
@@ -186,7 +191,8 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> tuple[Fli
             pilot.close()
 
 
-def _take_off(pilot: Pilot, options: FlyOptions) -> None:
+def take_off(pilot: Pilot, options: FlyOptions) -> None:
+    """From boot to a hover at the height. Raises FlightError."""
     ids = dialect
     for message_id, hz in ((ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 50.0), (ids.MAVLINK_MSG_ID_ATTITUDE, 50.0)):
         pilot.stream(message_id, hz)
