@@ -30,6 +30,9 @@ def _line(flight: dict[str, Any]) -> None:
                 f"{name} {end}, tilt {f['max_tilt_deg']:.1f} deg, off {f['max_position_error_m']:.2f} m,"
                 f" height lost {f['height_lost_m']} m"
             )
+    if "not_restored" in flight["companion"]:
+        f = flight["companion"]
+        parts.append(f"{f['changed_parameters']} parameters changed, not restored after kill -9: {f['not_restored']}")
     delays = [fault["delay_s"] for fault in flight["companion"]["faults"]]
     console.print(f"motors {failures!s:9}: {'; '.join(parts)}; delays {delays}", highlight=False, soft_wrap=True)
 
@@ -92,6 +95,9 @@ def px4(
     mode: Annotated[str, typer.Option(help="observe or allocate.")] = "allocate",
     seconds: Annotated[float, typer.Option(help="Flown on after the failure.")] = 15.0,
     seed: Annotated[int, typer.Option(help="Seed of the plant's wind and noise.")] = 1,
+    journal: Annotated[
+        bool, typer.Option("--journal", help="Then kill -9, land, and see the next start restore every parameter.")
+    ] = False,
     baseline: Annotated[bool, typer.Option(help="Fly without the companion too.")] = True,
     json: Json = False,
 ) -> None:
@@ -112,6 +118,7 @@ def px4(
         mode=mode,
         fly_on_s=seconds,
         seed=seed,
+        kill_and_land=journal,
     )
     if campaign:
         sets = campaigns.sets_of(campaign, vehicle.load(airframe))

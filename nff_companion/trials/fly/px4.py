@@ -52,6 +52,7 @@ class FlyOptions:
     rate_hz: float = 250.0
     mode: str = "allocate"
     seed: int = 1
+    kill_and_land: bool = False  # then kill -9, land, and see that the next start restores every parameter
 
 
 def binary_from(path: Path | None) -> Path:
@@ -215,6 +216,7 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> dict[str,
                 state_folder=folder / "state",
             )
             config.write_text(text, encoding="utf-8")
+            before = _told(pilot, vehicle) if options.kill_and_land else {}
             with DaemonProcess(config, folder / "companion.log") as daemon:
                 state = CompanionState(folder / "s")
                 pilot.wait(state.ready, 40.0, "the companion to be ready", state.refresh, 0.3)
@@ -222,10 +224,33 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> dict[str,
                 summary["status"] = state.document()
                 if daemon.process.poll() is not None:
                     raise FlightError(f"the companion ended with code {daemon.process.returncode}")
-            summary["journal_left"] = (folder / "state" / "parameters.journal").exists()
+                if options.kill_and_land:
+                    daemon.kill()
+            journal = folder / "state" / "parameters.journal"
+            summary["journal_left"] = journal.exists()
+            if options.kill_and_land:
+                _land(pilot, server)
+                during = _told(pilot, vehicle)
+                with DaemonProcess(config, folder / "companion.log"):
+                    pilot.wait(lambda: not journal.exists(), 60.0, "the restarted companion to restore")
+                after = _told(pilot, vehicle)
+                summary["changed_parameters"] = sum(during[name] != before[name] for name in before)
+                summary["not_restored"] = [name for name in before if after[name] != before[name]]
             return summary
         finally:
             pilot.close()
+
+
+def _told(pilot: Pilot, vehicle: Vehicle) -> dict[str, float]:
+    """What PX4 has been told of its rotors."""
+    names = [f"CA_ROTOR{i}_{suffix}" for i in range(vehicle.motors) for suffix in ("CT", "KM")]
+    return {name: pilot.parameter(name) for name in names}
+
+
+def _land(pilot: Pilot, server: Px4Server) -> None:
+    server.speed = _FAST
+    pilot.wait(lambda: not pilot.armed, 120.0, "landing", lambda: pilot.command(dialect.MAV_CMD_NAV_LAND), again_s=10.0)
+    server.speed = 1.0
 
 
 def _test(pilot: Pilot, server: Px4Server, options: FlyOptions) -> dict[str, Any]:
