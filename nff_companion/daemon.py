@@ -35,6 +35,7 @@ log = logging.getLogger("nff")
 _IDLE_S = 0.05  # longest wait for a datagram: the watchdog and the heartbeat come from this loop
 _HEARTBEAT_S = 1.0
 _HOST_S = 2.0
+_LOOK_S = 1.0
 
 
 class Daemon:
@@ -213,20 +214,20 @@ class Daemon:
         if adapter is not None:
             self._send_all(adapter.tick(now), self._port)
             self._send_all(self._sync.tick(time.monotonic_ns()), self._port)
-            streams = adapter.streams(self._config.link.rate_hz)
-            self._send_all(self._streams.requests(streams, adapter.target, now), self._port)
-            self._look(adapter, streams, now)
+            self._look(adapter, now)
         if now >= self._next_watchdog:
             self._next_watchdog = now + (self._notifier.watchdog_interval_s or 1.0)
             self._notifier.watchdog()
             self._notifier.status(self.reporter.line())
         self._hub.maintain(now)
 
-    def _look(self, adapter: Adapter, streams: list[Stream], now: float) -> None:
-        """What the pilot should know of link and adapter, now and then."""
+    def _look(self, adapter: Adapter, now: float) -> None:
+        """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""
         if now < self._next_look:
             return
-        self._next_look = now + 1.0
+        self._next_look = now + _LOOK_S
+        streams = adapter.streams(self._config.link.rate_hz)
+        self._send_all(self._streams.requests(streams, adapter.target, now), self._port)
         self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now)
         for name, (rate, asked) in self.reporter.slow_streams.items():
             self._say(f"NFF: {name} {rate:.0f} Hz, {asked:.0f} needed"[:50], dialect.MAV_SEVERITY_WARNING)

@@ -50,6 +50,7 @@ class ParameterReader:
         self._wanted = {name: (0, -float("inf")) for name in names}  # tries, time of the last
         self.values: dict[str, float] = {}
         self.kinds: dict[str, int] = {}
+        self._complete = False
 
     def observe(self, message: Message) -> str | None:
         """Take a PARAM_VALUE; its name when it is one of ours."""
@@ -60,15 +61,12 @@ class ParameterReader:
         self.kinds[name] = message.param_type
         return name
 
-    def again(self, name: str) -> None:
-        """Forget a value: it will be asked for anew."""
-        self.values.pop(name, None)
-        self._wanted[name] = (0, -float("inf"))
-
     @property
     def complete(self) -> bool:
         """Whether every parameter was answered or is absent."""
-        return all(name in self.values or tries >= _TRIES for name, (tries, _) in self._wanted.items())
+        if not self._complete:
+            self._complete = all(n in self.values or tries >= _TRIES for n, (tries, _) in self._wanted.items())
+        return self._complete
 
     @property
     def absent(self) -> list[str]:
@@ -78,6 +76,8 @@ class ParameterReader:
     def tick(self, now_s: float) -> list[Message]:
         """Requests that are due."""
         out: list[Message] = []
+        if self.complete:
+            return out
         for name, (tries, last) in self._wanted.items():
             if name in self.values or tries >= _TRIES:
                 continue

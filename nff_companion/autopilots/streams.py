@@ -59,8 +59,8 @@ class StreamMonitor:
         return out
 
     def requests(self, streams: Iterable[Stream], target: tuple[int, int], now_s: float) -> list[Message]:
-        """SET_MESSAGE_INTERVAL for what does not come as asked, once a second."""
-        if now_s - self._asked_s < _REQUEST_S:
+        """SET_MESSAGE_INTERVAL for what does not come as asked, at most once a second."""
+        if now_s - self._asked_s < 0.9 * _REQUEST_S:
             return []
         self._asked_s = now_s
         if self._first_asked_s is None:
