@@ -23,6 +23,7 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     endpoint: str
     more_endpoints: list[str] = []
     autopilot: Literal["auto", "nff", "ardupilot", "px4"] = "auto"
+    system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0  # of the autopilot; 0: the first one heard
     px4_method: Literal["scale", "inject"] = "scale"
     rate_hz: Annotated[float, msgspec.Meta(ge=25, le=1000)] = 200.0
     stream_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=2)] = 0.25

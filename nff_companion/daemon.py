@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import logging
 import select
@@ -68,7 +69,7 @@ class Daemon:
         self._streams = StreamMonitor()
         self._sync = TimeSync()
         self._text = PilotText()
-        self._parameters = ParameterServer(self.pipeline, config.link.component, self._set_mode)
+        self._parameters = ParameterServer(self.pipeline, config.link.component, self._set_mode, self._lift)
         self.reporter = Reporter(self.vehicle, self.pipeline)
         self._next_heartbeat = self._next_watchdog = self._next_host = self._next_look = -np.inf
         if not has_fast_crc():
@@ -107,7 +108,8 @@ class Daemon:
                 for connection in self._status.connections():
                     self._poll.register(connection.fileno(), select.POLLIN)
             else:
-                self._poll.unregister(descriptor)  # a request, or a connection that is gone
+                with contextlib.suppress(KeyError):  # an endpoint that was dropped a moment ago
+                    self._poll.unregister(descriptor)  # a request, or a connection that is gone
                 for connection in list(self._status.connections()):
                     if connection.fileno() == descriptor:
                         self._status.serve(connection)
@@ -129,6 +131,8 @@ class Daemon:
         adapter = self._adapter
         assert adapter is not None
         if message.get_srcSystem() != adapter.target[0]:
+            if kind == "HEARTBEAT":
+                self._say(f"NFF: system {message.get_srcSystem()} is heard too", dialect.MAV_SEVERITY_WARNING)
             return
         self._port = port
         other = self._meeting.better(adapter, message.get_msgId())
@@ -141,9 +145,12 @@ class Daemon:
             return
         began = time.perf_counter()
         if not self._adopted and adapter.applied.failed is not None:
-            # After a restart in flight the autopilot knows better than we do what has been declared.
+            # After a restart in flight the autopilot knows better than we do what has been declared; what an earlier
+            # flight has left behind on the ground is not taken over.
             self._adopted = True
-            self.pipeline.adopt(adapter.applied.failed)
+            if sample.armed:
+                self.pipeline.adopt(adapter.applied.failed)
+        self.pipeline.hands_off = adapter.hands_off()
         self.pipeline.blocked = adapter.blocked(sample.time_s, self.pipeline.mode)
         override = self.pipeline.respond(sample)
         if override is not None:
@@ -165,11 +172,13 @@ class Daemon:
                 event.confidence,
             )
             self._send(self.reporter.event_message(event), everywhere=True)
-            self._say(*self.reporter.text_of(event))
+            self._say(*self.reporter.text_of(event, adapter.verdict(output)))
 
     def _meet(self, heartbeat: Message, port: int) -> bool:
-        """The first autopilot heard is ours: adopt its system id."""
+        """The first autopilot heard is ours, unless the configuration names another: adopt its system id."""
         system = heartbeat.get_srcSystem()
+        if self._config.link.system not in (0, system):
+            return False
         target = (system, dialect.MAV_COMP_ID_AUTOPILOT1)
         adapter = self._meeting.first(target, heartbeat.autopilot)
         if adapter is None:
@@ -244,6 +253,12 @@ class Daemon:
         self.pipeline.set_mode(mode)
         log.warning("operator set mode %s", mode.name.lower())
 
+    def _lift(self, motor: int) -> None:
+        self.pipeline.lift(motor)
+        log.warning("operator lifted the declaration of motor %d", motor)
+        if self._adapter is not None and self._output is not None:
+            self._send_all(self._adapter.declare(self.pipeline.failed, self._output.time_s), self._port)
+
     def _request(self, request: dict[str, Any]) -> dict[str, Any]:
         command = request.get("command", "status")
         try:
@@ -251,8 +266,7 @@ class Daemon:
                 motor = int(request["motor"])
                 if not 1 <= motor <= self.vehicle.motors:
                     return {"error": f"motor {motor} does not exist: choose 1 to {self.vehicle.motors}"}
-                self.pipeline.lift(motor)
-                log.warning("operator lifted the declaration of motor %d", motor)
+                self._lift(motor)
             elif command == "mode":
                 name = str(request["mode"])
                 if name not in MODES:

@@ -67,7 +67,7 @@ class Doctor:
                     continue
                 if message.get_type() == "HEARTBEAT":
                     self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-                    if self._adapter is None:
+                    if self._adapter is None and self._config.link.system in (0, message.get_srcSystem()):
                         self._meet(message.get_srcSystem(), message.autopilot, port)
                 if self._adapter is None or message.get_srcSystem() != self._adapter.target[0]:
                     continue

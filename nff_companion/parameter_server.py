@@ -26,8 +26,11 @@ class _Parameter:
 class ParameterServer:
     """Values are those in use; a refused change is answered with the value that stays."""
 
-    def __init__(self, pipeline: Pipeline, component: int, set_mode: Callable[[Mode], None]) -> None:
-        self._pipeline, self._component, self._set_mode = pipeline, component, set_mode
+    def __init__(
+        self, pipeline: Pipeline, component: int, set_mode: Callable[[Mode], None], lift: Callable[[int], None]
+    ) -> None:
+        self._pipeline, self._component = pipeline, component
+        self._set_mode, self._lift_motor = set_mode, lift
         self._system = 1
         self._table = {
             "NFF_MODE": _Parameter(0, 2, lambda: float(pipeline.mode), self._mode),
@@ -51,7 +54,7 @@ class ParameterServer:
 
     def _lift(self, value: float) -> bool:
         if value >= 1:
-            self._pipeline.lift(int(value))
+            self._lift_motor(int(value))
         return True
 
     def _threshold(self, name: str, low: float, high: float, *, whole: bool = False) -> _Parameter:

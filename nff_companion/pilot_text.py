@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 
 from nff_companion.link.codec import Message, dialect
@@ -12,7 +13,7 @@ _REPEAT_S = 30.0  # the same text again
 
 
 class PilotText:
-    """Rate limit: critical texts always pass, once each second; others at most five in ten seconds."""
+    """Rate limit: errors and worse always pass, once each second; others at most five in ten seconds."""
 
     def __init__(self) -> None:
         self._sent: deque[float] = deque(maxlen=_BURST)
@@ -20,10 +21,12 @@ class PilotText:
         self.withheld = 0
 
     def say(self, text: str, severity: int, now_s: float) -> list[Message]:
-        """The message to send; none when it is withheld."""
-        critical = severity <= dialect.MAV_SEVERITY_CRITICAL
+        """The message to send; none when it is withheld. Texts that differ in numbers alone are the same, but for
+        urgent ones."""
+        critical = severity <= dialect.MAV_SEVERITY_ERROR
         again_s = 1.0 if critical else _REPEAT_S
-        if now_s - self._last.get(text, -float("inf")) < again_s:
+        key = text if critical else re.sub(r"\d+", "#", text)
+        if now_s - self._last.get(key, -float("inf")) < again_s:
             self.withheld += 1
             return []
         full = len(self._sent) == _BURST and now_s - self._sent[0] < _BURST_S
@@ -34,5 +37,5 @@ class PilotText:
             self._sent.append(now_s)
         if len(self._last) > 100:
             self._last = {t: s for t, s in self._last.items() if now_s - s < _REPEAT_S}
-        self._last[text] = now_s
+        self._last[key] = now_s
         return [dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:_LENGTH])]

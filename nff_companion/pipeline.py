@@ -106,6 +106,7 @@ class Pipeline:
         self._refusal = ""
         self._blind = ""  # why override cannot close the loop
         self.blocked = ""  # set from outside: why nothing may be sent
+        self.hands_off = ""  # set from outside: why override may not close the loop
         self.fault = ""  # why the estimator itself failed; empty again when it has worked for a while
         self._last_output: Output | None = None
         self._hold: Reference | None = None
@@ -121,7 +122,7 @@ class Pipeline:
     def set_mode(self, mode: Mode) -> None:
         """The operator's wish; what is in effect also depends on the telemetry."""
         self.mode = mode
-        self._hold = None
+        self._hold, self._blind = None, ""
 
     def retune(self, options: EstimatorOptions) -> bool:
         """Other thresholds, from the next flight on; False in flight, when nothing changes."""
@@ -146,6 +147,11 @@ class Pipeline:
         self._failed = self._failed | failed
         if self._state is not None:
             self._state.decision.failed = self._state.decision.failed | failed
+
+    @property
+    def failed(self) -> np.ndarray:
+        """(m,) bool: motors declared failed."""
+        return self._failed.copy()
 
     def lift(self, motor: int) -> None:
         """The operator declares ``motor`` (from 1) healthy."""
@@ -326,6 +332,9 @@ class Pipeline:
     def _close_loop(self, sample: Sample, dt_s: float) -> np.ndarray | None:
         """Motor outputs (m,) by (6.18), None when the state is not known."""
         plan = self._plan or (self._healthy if isinstance(self._healthy, Plan) else None)
+        if self.hands_off:
+            self._blind, self._hold = self.hands_off, None
+            return None
         if plan is None or sample.quaternion is None or sample.position_m is None or sample.velocity_m_s is None:
             self._blind = "override needs fresh attitude, position and velocity: allocating instead"
             return None

@@ -135,12 +135,12 @@ class Reporter:
             round(1e6 * event.time_s), event.motor, int(event.declared), event.effectiveness, event.confidence
         )
 
-    def text_of(self, event: Event) -> tuple[str, int]:
-        """Text and severity for the pilot."""
+    def text_of(self, event: Event, verdict: str) -> tuple[str, int]:
+        """Text and severity for the pilot; ``verdict``: what was done about it."""
         if event.declared:
             output = self._output
             observing = output is None or output.mode == Mode.OBSERVE
-            acting = "observing" if observing else "reallocated" if output and output.plan else "NO matrix"
+            acting = "observing" if observing else verdict
             text = f"Motor {event.motor} failed (eff {event.effectiveness:.2f}): {acting}"
         else:
             text = f"Motor {event.motor} works again"

@@ -203,6 +203,30 @@ def test_disarmed_nothing_is_driven_and_everything_is_forgotten(bench: AppletBen
     assert np.isnan(bench.pwm).all()
 
 
+def test_the_pilots_stop_wins_over_overrides(bench: AppletBench) -> None:
+    bench.override(np.full(8, 1500), timeout_ms=100)
+    bench.fly(0.02)
+    assert (bench.pwm == 1500).all()
+    bench.autopilot.pilot_stops = True
+    bench.fly(0.01)
+    assert (bench.pwm == 1000).all()
+    bench.fly(0.1)
+    assert np.isnan(bench.pwm).all(), "the firmware's own stop holds from here"
+    bench.override(np.full(8, 1500))
+    bench.fly(0.1)
+    assert np.isnan(bench.pwm).all()
+    assert bench.applied["disarmed"] == 1
+
+
+def test_a_frame_with_a_wrong_crc_is_refused(bench: AppletBench) -> None:
+    data = bytearray(TunnelMessage(Kind.DECLARATION, {"sequence": 5, "sample_ms": bench.now_ms, "failed": 4}).pack())
+    data[8] ^= 1  # the mask becomes another one
+    bench.send_bytes(bytes(data))
+    bench.fly(0.1)
+    assert bench.applied["failed"] == 0
+    assert bench.applied["format"] == 1
+
+
 def test_without_the_scripted_frame_only_outputs_are_taken(tmp_path: Path) -> None:
     bench = AppletBench(tmp_path, scripted=False)
     bench.heartbeat()

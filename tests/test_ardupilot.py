@@ -15,8 +15,10 @@ from realtime import Flying, wait_for
 from nff_companion import vehicle
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots.ardupilot import checks, factors
+from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.errors import AllocationInfeasible, EndpointError
+from nff_companion.link.codec import dialect
 from nff_companion.status_server import ask
 from nff_companion.trials import survey
 from nff_companion.trials.demo import DemoOptions, free_port, make_fleet
@@ -139,6 +141,15 @@ def test_the_card_holds_scripts_tables_and_parameters(tmp_path: Path) -> None:
     assert {"FRAME_CLASS 17", "SCR_ENABLE 1", "SERVO8_FUNCTION 40"} <= set(lines)
     install(vehicle.load("octo-x"), tmp_path, scripted=False)
     assert "FRAME_CLASS" not in (tmp_path / "nff_companion.parm").read_text()
+
+
+def test_override_is_kept_to_the_mode_that_it_follows() -> None:
+    octo = vehicle.load("octo-x")
+    adapter = ArduPilotAdapter(octo, (1, 1), {})
+    for mode, free in ((4, True), (5, False), (9, False)):
+        adapter.observe(dialect.MAVLink_heartbeat_message(14, 3, 128, mode, 4, 3))
+        assert (adapter.hands_off() == "") == free
+    assert "GUIDED" in adapter.hands_off()
 
 
 # -- processes --------------------------------------------------------------------------------------------------------

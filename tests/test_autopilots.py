@@ -55,6 +55,21 @@ def test_a_second_output_port_and_unknown_messages_are_not_mistaken(octo: Vehicl
     assert sample.position_m is None
 
 
+def test_targets_that_are_marked_as_ignored_are_none(octo: Vehicle) -> None:
+    decoder = TelemetryDecoder(octo)
+
+    def sample(mask: int):
+        decoder.observe(
+            dialect.MAVLink_position_target_local_ned_message(1000, 1, mask, 1.0, 2.0, 3.0, *[0.0] * 6, 0.5, 0.0)
+        )
+        return decoder.observe(dialect.MAVLink_highres_imu_message(1_000_000, *[0.0] * 13, 0x3F))
+
+    assert sample(0).target_position_m.tolist() == [1.0, 2.0, 3.0]
+    assert sample(0).target_yaw_rad == 0.5
+    assert sample(0b111).target_position_m is None
+    assert sample(1 << 10).target_yaw_rad is None
+
+
 def output(octo: Vehicle, time_s: float, failed: list[int], plan: Plan | None, mode: Mode = Mode.ALLOCATE) -> Output:
     mask = np.zeros(8, bool)
     mask[[m - 1 for m in failed]] = True

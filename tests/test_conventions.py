@@ -95,6 +95,26 @@ def test_one_endpoint_that_cannot_be_opened_does_not_stop_the_others() -> None:
         Hub([f"tcp:127.0.0.1:{nobody}"], 1, 191, select.poll(), 0.0)
 
 
+def test_a_connection_that_cannot_be_made_again_stops_nobody() -> None:
+    # An address that answers nothing: a blocking connect would wait for its time-out.
+    poll, port = select.poll(), free_port()
+    listener = socket.create_server(("127.0.0.1", port), backlog=0)
+    hub = Hub([f"tcp:127.0.0.1:{port}"], 1, 191, poll, 0.0)
+    hub._ports[0].url = "tcp:192.0.2.1:5760"
+    peer, _ = listener.accept()
+    peer.close()
+    until(poll, hub, 0.0)
+    began = time.process_time(), time.monotonic()
+    for k in range(1, 6):
+        hub.maintain(2.0 * k)
+        hub.send(HEARTBEAT, None, 2.0 * k)
+        until_now = [hub.read(descriptor, 2.0 * k) for descriptor, _ in poll.poll(0)]
+        assert not any(until_now)
+    assert time.monotonic() - began[1] < 0.3, "five attempts must not wait"
+    hub.close()
+    listener.close()
+
+
 def test_tcpin_serves_one_client_after_the_other() -> None:
     poll, port = select.poll(), free_port()
     hub = Hub([f"tcpin:127.0.0.1:{port}"], 1, 191, poll, 0.0)
@@ -214,18 +234,21 @@ def test_texts_are_short_and_do_not_flood_but_a_failure_always_passes() -> None:
     warning, critical = dialect.MAV_SEVERITY_WARNING, dialect.MAV_SEVERITY_CRITICAL
     assert len(text.say("the same", warning, 0.0)) == 1
     assert text.say("the same", warning, 5.0) == []
-    sent = sum(len(text.say(f"text {k}", warning, 6.0 + 0.01 * k)) for k in range(100))
+    sent = sum(len(text.say(f"text {chr(97 + k)}", warning, 6.0 + 0.01 * k)) for k in range(26))
     assert sent == 4
-    (message,) = text.say("Motor 3 failed (eff 0.02): reallocated", critical, 7.5)
+    assert len(text.say("IMU 98 Hz", warning, 20.0)) == 1
+    assert text.say("IMU 97 Hz", warning, 21.0) == [], "another number is not another text"
+    assert len(text.say("NFF: telemetry stopped, observing", dialect.MAV_SEVERITY_ERROR, 21.0)) == 1
+    (message,) = text.say("Motor 3 failed (eff 0.02): reallocated", critical, 22.0)
     assert message.text == "Motor 3 failed (eff 0.02): reallocated"
-    assert len(text.say("x" * 80, critical, 8.0)[0].text) <= 50
-    assert text.withheld >= 96
+    assert len(text.say("x" * 80, critical, 23.0)[0].text) <= 50
+    assert text.withheld >= 22
 
 
 @pytest.fixture
 def server() -> ParameterServer:
     pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
-    server = ParameterServer(pipeline, 191, pipeline.set_mode)
+    server = ParameterServer(pipeline, 191, pipeline.set_mode, pipeline.lift)
     server.adopt(1)
     return server
 

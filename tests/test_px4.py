@@ -13,7 +13,7 @@ from fake_px4 import FakePx4, talk
 
 from nff_companion import vehicle
 from nff_companion.autopilots.parameters import name_of
-from nff_companion.autopilots.px4 import allocator
+from nff_companion.autopilots.px4 import allocator, remedy_book
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geometry_of
@@ -159,8 +159,11 @@ def test_a_pair_that_needs_it_releases_yaw_first(tmp_path: Path) -> None:
     for message in adapter.act(output(model, (1, 8))):
         px4.answer(message)
     names = [name for name, _ in px4.sets]
-    assert all(name.endswith("_KM") for name in names[:8])
-    assert sorted(names[8:]) == ["CA_ROTOR0_CT", "CA_ROTOR7_CT"]
+    remedy = Advisor(model, geometry(model)).remedy(without(model, (1, 8)))
+    assert isinstance(remedy, Remedy)
+    first = [] if remedy.first is None else [f"CA_ROTOR{remedy.first}_CT"]
+    rest = [n for n in ("CA_ROTOR0_CT", "CA_ROTOR7_CT") if n not in first]
+    assert names == [*first, *(f"CA_ROTOR{i}_KM" for i in range(8)), *rest]
     talk(adapter, px4, now, 0.2)
     assert "yaw given up" in adapter.complaints()
 
@@ -198,6 +201,71 @@ def test_restored_on_disarm_and_the_journal_is_gone(tmp_path: Path) -> None:
     assert np.array_equal(px4.stored, found)
     assert not (tmp_path / "journal").exists()
     assert not adapter.unfinished
+
+
+def test_what_was_sent_but_not_confirmed_is_restored_too(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    found = px4.stored.copy()
+    adapter, now = ready(tmp_path, model, px4)
+    for message in adapter.act(output(model, (3,))):
+        px4.answer(message)  # it arrives, its confirmation does not
+    assert px4.value("CA_ROTOR2_CT") == 0.0
+    px4.armed = False
+    talk(adapter, px4, now, 1.0)
+    assert np.array_equal(px4.stored, found)
+    assert not (tmp_path / "journal").exists()
+
+
+def test_the_users_own_tuning_is_not_undone(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4, armed=False)
+    px4.stored[:] = np.where([n.endswith("_CT") for n in px4.names], 7.0, px4.stored)
+    for name in px4.names:  # the ground station's changes are announced to all
+        adapter.observe(px4._through([px4._param(name)])[0])
+    now = talk(adapter, px4, now, 0.5)
+    px4.armed = True
+    now = talk(adapter, px4, now, 0.2)
+    px4.armed = False
+    now = talk(adapter, px4, now, 0.5)
+    assert px4.scales() == [7.0] * 8
+    px4.armed = True
+    now = talk(adapter, px4, now, 0.2)
+    eta = np.ones(8)
+    eta[0] = 0.5
+    for message in adapter.act(output(model, (), 20.0, effectiveness=eta, degraded=eta < 1.0)):
+        px4.answer(message)
+    assert px4.value("CA_ROTOR0_CT") == pytest.approx(3.5)
+
+
+def test_a_refused_remedy_is_not_sought_again_at_every_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    model = octo(1.55)
+    px4 = FakePx4(model)
+    adapter, _ = ready(tmp_path, model, px4)
+    sought = []
+    real = Advisor.remedy
+    monkeypatch.setattr(Advisor, "remedy", lambda self, eta: sought.append(1) or real(self, eta))
+    for k in range(200):
+        eta = without(model, (1, 7))
+        eta[4] = 0.5 + 0.05 * rng.uniform(-1, 1)
+        degraded = (eta < 1.0) & (eta > 0.0)
+        adapter.act(output(model, (1, 7), 10.0 + 0.004 * k, effectiveness=eta, degraded=degraded))
+    assert len(sought) <= 2
+
+
+def test_the_operators_word_is_passed_on_while_observing(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    for message in adapter.act(output(model, (3,))):
+        px4.answer(message)
+    now = talk(adapter, px4, now, 0.2)
+    for message in adapter.declare(np.zeros(8, bool), 12.0):
+        px4.answer(message)
+    assert px4.scales() == [6.5] * 8
 
 
 def test_in_the_air_a_new_start_takes_over_what_was_told(tmp_path: Path) -> None:
@@ -238,6 +306,11 @@ def test_nothing_is_told_when_observing_disarmed_or_on_the_ground(tmp_path: Path
         (0x011000FF, {"CA_ROTOR3_PX": 0.4}, "motor order"),
         (0x011000FF, {"CA_ROTOR3_KM": -0.05}, "turns the other way"),
         (0x011000FF, {"PWM_MAIN_FUNC4": 105}, "PWM_MAIN_FUNC4"),
+        (0x011000FF, {"THR_MDL_FAC": 0.0}, "THR_MDL_FAC is 0"),
+        (0x011000FF, {"PWM_MAIN_MIN3": 1100}, "PWM_MAIN_MIN3"),
+        (0x011000FF, {"PWM_MAIN_TIM0": -4}, "DShot"),
+        (0x011000FF, {"CA_ROTOR2_CT": 0.0}, "was a journal lost"),
+        (0x011000FF, {"CA_FAILURE_MODE": 1.0, "FD_ACT_EN": 1.0}, "use inject"),
     ],
 )
 def test_what_is_not_understood_is_observed_with_a_reason(
@@ -301,6 +374,21 @@ def test_injection_means_what_the_version_says_and_changes_no_parameter(
     assert not (tmp_path / "journal").exists()
 
 
+def test_an_injected_failure_is_undone_when_the_vehicle_disarms(tmp_path: Path) -> None:
+    px4 = FakePx4(octo(), **NEEDS)
+    adapter, now = injecting(tmp_path, px4)
+    adapter.act(output(octo(), (3,)))
+    adapter.observe(dialect.MAVLink_command_ack_message(dialect.MAV_CMD_INJECT_FAILURE, 0))
+    px4.armed = False
+    for message in px4.heartbeat():
+        adapter.observe(message)
+    undone = [m for m in adapter.tick(now + 1.0) if m.get_type() == "COMMAND_LONG"]
+    assert [(m.param2, m.param3) for m in undone] == [(dialect.FAILURE_TYPE_OK, 3.0)]
+    assert adapter.unfinished
+    adapter.observe(dialect.MAVLink_command_ack_message(dialect.MAV_CMD_INJECT_FAILURE, 0))
+    assert not adapter.unfinished
+
+
 @pytest.mark.parametrize(
     ("version", "changes", "reason"),
     [(0x010F00FF, NEEDS, "does not reallocate"), (0x011000FF, {**NEEDS, "CA_FAILURE_MODE": 0.0}, "CA_FAILURE_MODE")],
@@ -361,7 +449,9 @@ def _fly_until_killed(folder: Path, model: Vehicle, px4: FakePx4, kill_at: int) 
     talk(adapter, px4, now, 1.0, step)
 
 
-def test_killed_at_any_step_the_next_start_restores_everything(tmp_path: Path) -> None:
+def test_killed_at_any_step_the_next_start_restores_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # What is computed ahead takes time and changes nothing here.
+    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
     model = octo()
     completed = False
     kill_at = 0

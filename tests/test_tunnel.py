@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from importlib import resources
 
 import numpy as np
@@ -84,18 +85,34 @@ def test_every_message_fits_for_twelve_motors() -> None:
 def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
     _, protocol = lua
     good = TunnelMessage(Kind.DECLARATION, {"sequence": 1, "sample_ms": 5, "failed": 1}).pack()
+
+    def sealed(body: bytes) -> bytes:
+        return body + struct.pack("<HB", tunnel.check(body), 0xA5)
+
     for bad, reason in (
         (good[:-1], "end mark"),
         (good[:-1] + b"\0", "end mark"),
-        (b"\x02" + good[1:], "version 2"),
-        (good[:1] + b"\x63" + good[2:], "kind 99"),
-        (good[:4] + good[-1:], "at least"),
-        (good[:-1] + b"\x01\xa5", "carries 1 bytes"),
+        (sealed(b"\x02" + good[1:-3]), "version 2"),
+        (sealed(good[:1] + b"\x63" + good[2:-3]), "kind 99"),
+        (sealed(good[:4]), "at least"),
+        (sealed(good[:-3] + b"\x01"), "carries 1 bytes"),
+        (good[:-4] + b"\x05" + good[-3:], "changed on the way"),
         (b"", "end mark"),
     ):
         with pytest.raises(TunnelError, match=reason):
             unpack(bad)
         assert protocol[b"unpack"](bad) is None
+
+
+def test_no_single_flipped_bit_gets_through(lua) -> None:
+    _, protocol = lua
+    good = TunnelMessage(Kind.DECLARATION, {"sequence": 7, "sample_ms": 12345, "failed": 4}).pack()
+    for bit in range(8 * len(good)):
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(TunnelError):
+            unpack(bytes(bad))
+        assert protocol[b"unpack"](bytes(bad)) is None
 
 
 def test_a_tunnel_of_someone_else_is_left_alone() -> None:

@@ -96,6 +96,15 @@ class Adapter(Protocol):
     def findings(self) -> list[Finding]:
         """What was found out about this autopilot, for a check before the flight."""
 
+    def hands_off(self) -> str:
+        """Why motor outputs may not be sent though commands may; empty when they may."""
+
+    def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
+        """The operator's word on which motors (m,) have failed: it is passed on in every mode."""
+
+    def verdict(self, output: Output) -> str:
+        """What was done about the declarations of ``output``, in one or two words for the pilot."""
+
     def drive(self, outputs: np.ndarray, time_s: float) -> Message:
         """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""
 

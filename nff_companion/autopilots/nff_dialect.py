@@ -89,6 +89,22 @@ class NffDialectAdapter:
         heard = bool(np.isfinite(self._applied_s))
         return [Finding("autopilot", heard, "NFF_APPLIED is heard" if heard else "NFF_APPLIED is not heard")]
 
+    def hands_off(self) -> str:
+        """Nothing stands in the way."""
+        return ""
+
+    def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
+        """The declaration as it is now."""
+        self._declared, self._declared_s = failed.copy(), time_s
+        self._declared_sequence = self._next()
+        mask = int((1 << np.flatnonzero(failed)).sum())
+        sample_usec = round(1e6 * time_s)
+        return [dialect.MAVLink_nff_motor_declaration_message(sample_usec, self._declared_sequence, mask, *self.target)]
+
+    def verdict(self, output: Output) -> str:
+        """The matrix, or the autopilot's own reduced mixing."""
+        return "reallocated" if output.plan is not None else "NO matrix"
+
     def blocked(self, time_s: float, mode: Mode) -> str:
         """Why no command may be sent at ``time_s``: an autopilot that does not answer does not obey either."""
         if abs(time_s - self._applied_s) <= _ANSWER_MAX_S:
@@ -110,21 +126,13 @@ class NffDialectAdapter:
         """Declaration when it changed or is not yet confirmed, matrix at 20 Hz and on change."""
         if output.mode == Mode.OBSERVE:
             return []
-        system, component = self.target
         sample_usec = round(1e6 * output.time_s)
         messages: list[Message] = []
         changed = bool((output.failed != self._declared).any())
         confirmed = self.applied.failed is not None and bool((self.applied.failed == output.failed).all())
         again = not confirmed and not 0.0 <= output.time_s - self._declared_s < _DECLARATION_INTERVAL_S
         if output.flying and (changed or again):
-            self._declared, self._declared_s = output.failed.copy(), output.time_s
-            self._declared_sequence = self._next()
-            mask = int((1 << np.flatnonzero(output.failed)).sum())
-            messages.append(
-                dialect.MAVLink_nff_motor_declaration_message(
-                    sample_usec, self._declared_sequence, mask, system, component
-                )
-            )
+            messages += self.declare(output.failed, output.time_s)
         if output.plan is not None:
             fresh = output.plan is not self._plan
             if fresh or not 0.0 <= output.time_s - self._matrix_s < _MATRIX_INTERVAL_S:

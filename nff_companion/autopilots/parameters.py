@@ -9,6 +9,7 @@ from nff_companion.link.codec import Message, dialect
 
 _RETRY_S = 0.25
 _TRIES = 6
+_LATER_S = 3.0
 _IN_FLIGHT = 5
 _INTEGERS = {
     dialect.MAV_PARAM_TYPE_UINT8: "B",
@@ -63,25 +64,28 @@ class ParameterReader:
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter was answered or is absent."""
+        """Whether every parameter was answered, or asked for often enough to count as absent."""
         if not self._complete:
             self._complete = all(n in self.values or tries >= _TRIES for n, (tries, _) in self._wanted.items())
         return self._complete
 
     @property
     def absent(self) -> list[str]:
-        """Parameters that the autopilot does not answer for."""
+        """Parameters that the autopilot has not answered for; they are asked for again now and then."""
+        if len(self.values) == len(self._wanted):
+            return []
         return [n for n, (tries, _) in self._wanted.items() if n not in self.values and tries >= _TRIES]
 
     def tick(self, now_s: float) -> list[Message]:
         """Requests that are due."""
         out: list[Message] = []
-        if self.complete:
+        if len(self.values) == len(self._wanted):
             return out
         for name, (tries, last) in self._wanted.items():
-            if name in self.values or tries >= _TRIES:
+            if name in self.values:
                 continue
-            if now_s - last >= _RETRY_S and len(out) < _IN_FLIGHT:
+            wait_s = _RETRY_S if tries < _TRIES else _LATER_S  # a busy autopilot drops answers without a word
+            if now_s - last >= wait_s and len(out) < _IN_FLIGHT:
                 self._wanted[name] = (tries + 1, now_s)
                 out.append(dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1))
         return out

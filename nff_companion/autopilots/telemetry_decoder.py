@@ -19,6 +19,11 @@ ATTITUDE_AGE_MAX_S = 0.1
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
 _WRAP_USEC = 2**32
+_IGNORES_POSITION = (
+    dialect.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_Z_IGNORE
+)
 _RPM = 2.0 * np.pi / 60.0
 _ESC_FIRST = {"ESC_TELEMETRY_1_TO_4": 0, "ESC_TELEMETRY_5_TO_8": 4, "ESC_TELEMETRY_9_TO_12": 8}
 
@@ -110,8 +115,10 @@ class TelemetryDecoder:
         self._position_s = 1e-3 * message.time_boot_ms
 
     def _position_target(self, message: Message) -> None:
-        self._target = np.array([message.x, message.y, message.z])
-        self._target_yaw = message.yaw
+        # A field that is marked as ignored is sent as zero: the origin, and north.
+        ignored = message.type_mask
+        self._target = None if ignored & _IGNORES_POSITION else np.array([message.x, message.y, message.z])
+        self._target_yaw = None if ignored & dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE else message.yaw
         self._target_s = 1e-3 * message.time_boot_ms
 
     def _output_age_s(self, now_usec: int) -> float:

@@ -97,7 +97,8 @@ class RotorSpeedWatch:
             state.count[:] = 0
             stopped = np.zeros(self.motors, bool)
         state.since_s = np.where(stopped, np.where(np.isnan(state.since_s), time_s, state.since_s), np.nan)
-        return stopped
+        # After a while without a declaration it is the sensor: its word no longer lowers any threshold.
+        return stopped & ~(time_s - np.nan_to_num(state.since_s, nan=np.inf) >= o.fault_s)
 
     def faults(self, state: RotorSpeedState, failed: np.ndarray) -> np.ndarray:
         """(m,) bool: stopped by telemetry for a while, but nothing was declared: the residual says that they pull."""

@@ -71,8 +71,11 @@ def parse(url: str) -> Url:
     return Url(kind, host, numbers[0])
 
 
-def open_endpoint(url: str, baud: int | None = None) -> Endpoint:
-    """Open the endpoint, a serial port with ``baud`` of its list. Raises ConfigError, EndpointError."""
+def open_endpoint(url: str, baud: int | None = None, *, wait: bool = True) -> Endpoint:
+    """Open the endpoint, a serial port with ``baud`` of its list; ``wait`` for a connection to be made.
+
+    Raises ConfigError, EndpointError.
+    """
     parsed = parse(url)
     if parsed.kind in ("udpin", "udpout"):
         from nff_companion.link.udp import Udp
@@ -81,7 +84,7 @@ def open_endpoint(url: str, baud: int | None = None) -> Endpoint:
     if parsed.kind == "tcp":
         from nff_companion.link.tcp import Tcp
 
-        return Tcp(url, parsed)
+        return Tcp(url, parsed, wait=wait)
     if parsed.kind == "tcpin":
         from nff_companion.link.tcp import TcpServer
 

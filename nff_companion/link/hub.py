@@ -41,7 +41,8 @@ class Hub:
         self._poll = poll
         self.unsendable = 0
         self._ports = [_Port(url, Codec(system, component), parse(url).bauds) for url in urls]
-        errors = [error for port in self._ports if (error := self._open(port, now_s)) is not None]
+        opened = [self._open(port, now_s, wait=True) for port in self._ports]
+        errors = [error for error in opened if error is not None]
         if len(errors) == len(self._ports):
             self.close()
             raise errors[0]
@@ -110,10 +111,10 @@ class Hub:
 
     # -- one port -----------------------------------------------------------------------------------------------
 
-    def _open(self, port: _Port, now_s: float) -> EndpointError | None:
+    def _open(self, port: _Port, now_s: float, *, wait: bool = False) -> EndpointError | None:
         port.next_try_s = now_s + _RECONNECT_S
         try:
-            port.endpoint = open_endpoint(port.url, baud=port.bauds[port.baud_index] if port.bauds else None)
+            port.endpoint = open_endpoint(port.url, baud=port.bauds[port.baud_index] if port.bauds else None, wait=wait)
         except EndpointError as error:
             return error
         port.descriptor, port.opened_s, port.heard = port.endpoint.fileno(), now_s, False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 
@@ -12,13 +13,21 @@ _CONNECT_TIMEOUT_S = 0.5  # well below the watchdog: connecting blocks the loop
 
 
 class Tcp:
-    """Connects once; a lost connection raises and the caller opens a new one."""
+    """Connects once; a lost connection raises and the caller opens a new one.
 
-    def __init__(self, url: str, parsed: Url) -> None:
+    ``wait`` False: in flight nobody waits for a connection; it is made, or found impossible, between reads.
+    """
+
+    def __init__(self, url: str, parsed: Url, *, wait: bool = True) -> None:
         self.url = url
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.settimeout(_CONNECT_TIMEOUT_S if wait else 0.0)
         try:
-            self._socket = socket.create_connection((parsed.host, parsed.number), _CONNECT_TIMEOUT_S)
+            self._socket.connect((parsed.host, parsed.number))
+        except BlockingIOError:
+            pass  # under way
         except OSError as error:
+            self._socket.close()
             raise EndpointError(f"{url}: cannot connect: {error}; is the other side listening?") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
@@ -36,6 +45,8 @@ class Tcp:
             except BlockingIOError:
                 return out
             except OSError as error:
+                if error.errno == errno.ENOTCONN and not self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                    return out  # still connecting
                 raise EndpointError(f"{self.url}: lost: {error.strerror}") from error
             if not data:
                 raise EndpointError(f"{self.url}: closed by the other side")
@@ -48,6 +59,8 @@ class Tcp:
         except BlockingIOError:
             return False
         except OSError as error:
+            if error.errno == errno.ENOTCONN:
+                return False  # still connecting; a failure is found at the next read
             raise EndpointError(f"{self.url}: lost: {error.strerror}") from error
 
     def close(self) -> None:

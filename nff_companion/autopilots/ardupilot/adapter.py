@@ -25,6 +25,7 @@ _TABLE_INTERVAL_S = 0.02
 _TABLE_RETRY_S = 0.5
 _ANSWER_MAX_S = 1.0
 _SPEED_HZ = 100.0
+_GUIDED = 4
 _ESC_TELEMETRY = (
     dialect.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4,
     dialect.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8,
@@ -59,6 +60,7 @@ class ArduPilotAdapter:
         self._plan: Plan | None = None
         self.unreadable = 0  # tunnel messages that could not be understood
         self._complaint = ""
+        self._custom_mode = -1
 
     @property
     def tables_stored(self) -> bool:
@@ -78,7 +80,7 @@ class ArduPilotAdapter:
             Stream(ids.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, rate_hz),
             Stream(ids.MAVLINK_MSG_ID_HIGHRES_IMU, rate_hz),
             Stream(ids.MAVLINK_MSG_ID_LOCAL_POSITION_NED, min(rate_hz, 50.0)),
-            Stream(ids.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 20.0),
+            Stream(ids.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 20.0, required=False),  # in GUIDED alone
             Stream(ids.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
             *(
                 Stream(message_id, min(rate_hz, _SPEED_HZ), required=False)
@@ -95,6 +97,8 @@ class ArduPilotAdapter:
         if kind == "PARAM_VALUE":
             self.parameters.observe(message)
             return None
+        if kind == "HEARTBEAT":
+            self._custom_mode = message.custom_mode
         return self._decoder.observe(message)
 
     def _tunnel(self, message: Message) -> None:
@@ -159,19 +163,35 @@ class ArduPilotAdapter:
             Finding("watchdog", alive and self.watchdog_alive, "runs" if self.watchdog_alive else "is silent"),
             Finding("tables", self.tables_stored, f"{count} of {wanted} stored on the autopilot"),
             Finding("motors", alive and self._motors == self._vehicle.motors, f"the applet flies {self._motors}"),
-            Finding(
-                "parameters", self.parameters.complete and not wrong, "; ".join(wrong) or "agree with the airframe"
-            ),
         ]
+        wrong += [f"no answer for {name}" for name in self.parameters.absent]
+        read = self.parameters.complete and not wrong
+        out.append(Finding("parameters", read, "; ".join(wrong) or "agree with the airframe"))
         out += [Finding("advice", None, text) for text in checks.advice(values, self._vehicle)]
-        if self.parameters.absent:
-            out.append(Finding("advice", None, f"not answered for: {', '.join(self.parameters.absent)}"))
         return out
+
+    def hands_off(self) -> str:
+        """Override follows the targets of GUIDED alone: in every other mode it would fly against the pilot."""
+        return "" if self._custom_mode == _GUIDED else "override needs flight mode GUIDED: allocating instead"
+
+    def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
+        """The declaration as it is now."""
+        self._declared, self._declared_s = failed.copy(), time_s
+        mask = int((1 << np.flatnonzero(failed)).sum())
+        return [self._message(Kind.DECLARATION, sample_ms=tunnel.milliseconds(time_s), failed=mask)]
+
+    def verdict(self, output: Output) -> str:
+        """The matrix where it can be loaded; else outputs, or nothing but a stopped motor."""
+        if output.mode == Mode.OVERRIDE:
+            return "driving outputs"
+        return "reallocated" if output.plan is not None and self.capabilities.matrix else "stopped, NO matrix"
 
     def blocked(self, time_s: float, mode: Mode) -> str:
         """Why no command may be sent at ``time_s``; empty when one may."""
         if not self.parameters.complete:
             return "reading the autopilot's parameters"
+        if self.parameters.absent:
+            return f"the autopilot does not answer for {self.parameters.absent[0]}: observing"
         wrong = checks.contradictions(self.parameters.values, self._vehicle)
         if wrong:
             return f"{wrong[0]}: observing"
@@ -222,8 +242,7 @@ class ArduPilotAdapter:
         confirmed = self.applied.failed is not None and bool((self.applied.failed == output.failed).all())
         again = not confirmed and not 0.0 <= output.time_s - self._declared_s < _DECLARATION_INTERVAL_S
         if output.flying and (changed or again):
-            self._declared, self._declared_s = output.failed.copy(), output.time_s
-            messages.append(self._message(Kind.DECLARATION, sample_ms=sample_ms, failed=mask))
+            messages += self.declare(output.failed, output.time_s)
         if output.plan is not None and self.capabilities.matrix:
             fresh = output.plan is not self._plan
             if fresh or not 0.0 <= output.time_s - self._matrix_s < _MATRIX_INTERVAL_S:

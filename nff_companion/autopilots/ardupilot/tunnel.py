@@ -1,8 +1,9 @@
 """What goes through TUNNEL between the companion and the applet; ``lua/modules/nff_protocol.lua`` is its twin.
 
-Little endian. Every message: version u8 (1), kind u8, the fields below, what repeats, end mark u8 (0xA5: MAVLink 2 cuts
-trailing zeros, and an end that is never zero shows that nothing was). Sequence numbers are u16 and wrap; ``sample_ms``
-is the autopilot's time since boot of the telemetry sample that a command answers.
+Little endian. Every message: version u8 (1), kind u8, the fields below, what repeats, check u16 over all before it
+(ArduPilot hands frames with a wrong CRC to scripts too), end mark u8 (0xA5: MAVLink 2 cuts trailing zeros). Sequence
+numbers are u16 and wrap; ``sample_ms`` is the time since the autopilot's boot of the telemetry sample that a command
+answers.
 
 | kind | to | fields |
 |---|---|---|
@@ -38,6 +39,7 @@ FACTOR_SCALE = 4096
 FACTOR_MAX = 32767 / FACTOR_SCALE
 REFUSALS = ("range", "format", "stale", "replay", "dimension", "disarmed", "unsupported")
 _END = 0xA5
+_TAIL = 3  # check and end mark
 _PAYLOAD = 128
 _MILLISECONDS = 2**31  # integers of the applet have 32 bits, and a sign
 _SEQUENCES = 2**16
@@ -123,7 +125,8 @@ class TunnelMessage:
             fixed = struct.pack(f"<BB{layout}", VERSION, self.kind, *(values[name] for name in names))
         except (struct.error, KeyError) as error:
             raise TunnelError(f"{self.kind.name} cannot be packed: {error}") from error
-        data = fixed + rest + bytes([_END])
+        body = fixed + rest
+        data = body + struct.pack("<HB", check(body), _END)
         if len(data) > _PAYLOAD:
             raise TunnelError(f"{self.kind.name} has {len(data)} bytes, at most {_PAYLOAD} fit")
         return data
@@ -131,7 +134,7 @@ class TunnelMessage:
 
 def unpack(data: bytes) -> TunnelMessage:
     """A message from its bytes. Raises TunnelError that says what is wrong with them."""
-    if len(data) < 3 or data[-1] != _END:
+    if len(data) < 2 + _TAIL or data[-1] != _END:
         raise TunnelError(f"message of {len(data)} bytes without its end mark: cut off on the way")
     if data[0] != VERSION:
         raise TunnelError(f"protocol version {data[0]}, expected {VERSION}: install the applet of this release")
@@ -141,10 +144,12 @@ def unpack(data: bytes) -> TunnelMessage:
         raise TunnelError(f"kind {data[1]} is unknown") from None
     layout, names = _LAYOUTS[kind]
     size = 2 + struct.calcsize(f"<{layout}")
-    if len(data) < size + 1:
-        raise TunnelError(f"{kind.name} has {len(data)} bytes, at least {size + 1} are needed")
+    if len(data) < size + _TAIL:
+        raise TunnelError(f"{kind.name} has {len(data)} bytes, at least {size + _TAIL} are needed")
+    if struct.unpack_from("<H", data, len(data) - _TAIL)[0] != check(data[:-_TAIL]):
+        raise TunnelError(f"{kind.name} was changed on the way: its check does not agree")
     message = TunnelMessage(kind, dict(zip(names, struct.unpack_from(f"<{layout}", data, 2), strict=True)))
-    rest = data[size:-1]
+    rest = data[size:-_TAIL]
     width = 8 if kind in _FACTORS else 2 if kind == Kind.OVERRIDE else 0
     if len(rest) != message.values.get("motors", 0) * width:
         raise TunnelError(f"{kind.name} for {message.values.get('motors', 0)} motors carries {len(rest)} bytes")
@@ -169,7 +174,7 @@ def unwrap(message: Message, payload_type: int = TO_COMPANION) -> TunnelMessage 
 
 
 def check(data: bytes) -> int:
-    """Sum over bytes that tells tables apart."""
+    """Sum over bytes that shows changes on the way, and tells tables apart."""
     total = 1
     for byte in data:
         total = (total * 31 + byte) % 65521

@@ -14,9 +14,11 @@ import numpy as np
 
 from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
 from nff_companion.autopilots.parameters import ParameterReader, encode
+from nff_companion.autopilots.px4 import outputs
 from nff_companion.autopilots.px4.injection import INJECTION_NEEDS, Injection
 from nff_companion.autopilots.px4.journal import Entry, Journal
-from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, disagreement, geometry_of
+from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, disagreement, geometry_of
+from nff_companion.autopilots.px4.remedy_book import RemedyBook
 from nff_companion.autopilots.px4.versions import behaviour, version_of
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
 from nff_companion.errors import JournalError
@@ -30,15 +32,18 @@ _RESEND_S = 0.05
 _VERSION_INTERVAL_S = 0.5
 _CHANGE_MIN = 0.15  # of a motor's effectiveness: each change wears the parameter storage
 _CHANGE_INTERVAL_S = 1.0
-_MOTOR_FUNCTION = 100  # PWM_MAIN_FUNCn of motor n, less n
 _DEAD = 0.05  # a CT below this share of what it was counts as declared dead
-_HEARD_MAX_S = 1.5
 _SUFFIXES = ("PX", "PY", "PZ", "AX", "AY", "AZ", "CT", "KM")
 _REAL = int(dialect.MAV_PARAM_TYPE_REAL32)
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 Method = Literal["scale", "inject"]
+
+
+def _same(value: float, other: float) -> bool:
+    """Equal as PX4 stores it, in 32 bits."""
+    return abs(value - other) <= 1e-5 * abs(other) + 1e-6
 
 
 class Px4Adapter:
@@ -56,24 +61,23 @@ class Px4Adapter:
         self._decoder = TelemetryDecoder(vehicle)
         rotors = [f"CA_ROTOR{i}_{suffix}" for i in range(vehicle.motors) for suffix in _SUFFIXES]
         others = ["CA_ROTOR_COUNT", "CA_METHOD", "MC_AIRMODE", "THR_MDL_FAC", *INJECTION_NEEDS]
-        functions = [f"PWM_MAIN_FUNC{i}" for i in range(1, vehicle.motors + 1)]
-        self.parameters = ParameterReader([*rotors, *others, *functions], target, bytewise=True)
+        names = [*rotors, *others, *outputs.names(vehicle)]
+        self.parameters = ParameterReader(names, target, bytewise=True)
         self._journal = Journal(journal)
         self._autopilot = ""  # unique id, once known
         self._version: tuple[int, int, int] | None = None
         self._next_version_s = -np.inf
         self._found: dict[str, float] = {}  # CT and KM as they were before us
         self._advisor: Advisor | None = None
+        self._remedies: RemedyBook | None = None
         self._trouble = ""
         self._note = ""
         self._armed: bool | None = None
-        self._heard_s = -np.inf
         self._wanted: dict[str, float] = {}  # parameters that are not yet confirmed, in the order to send
         self._sent_s = self._tick_s = -np.inf
         self._journaled = False
         self._injection = Injection(vehicle.motors, target) if method == "inject" else None
-        self._target_effectiveness = np.ones(vehicle.motors)
-        self._refused_for: np.ndarray | None = None
+        self._attempted = np.ones(vehicle.motors)  # what was last told, or found to be better left untold
         self._changed_s = -np.inf
 
     # -- telemetry ----------------------------------------------------------------------------------------------
@@ -119,12 +123,17 @@ class Px4Adapter:
         return self._decoder.observe(message)
 
     def _parameter(self, message: Message) -> None:
+        before = dict(self.parameters.values) if not self._journaled else {}
         name = self.parameters.observe(message)
         if name is None:
             return
+        value = self.parameters.values[name]
         wanted = self._wanted.get(name)
-        if wanted is not None and np.isclose(self.parameters.values[name], wanted, rtol=1e-5, atol=1e-6):
+        if wanted is not None and _same(value, wanted):
             del self._wanted[name]
+        if not self._journaled and not self._wanted and name in before and not _same(before[name], value):
+            # Somebody else has changed the vehicle, or mended what was wrong with it: look at it anew.
+            self._advisor, self._remedies, self._trouble, self._found = None, None, "", {}
         if self._found:
             self._note_applied()
 
@@ -158,58 +167,56 @@ class Px4Adapter:
         except (JournalError, KeyError) as error:
             self._trouble = str(error) if isinstance(error, JournalError) else f"PX4 does not answer for {error}"
             return
-        self._trouble = disagreement(geometry, self._vehicle) or self._wrong_output()
+        self._trouble = (
+            disagreement(geometry, self._vehicle)
+            or outputs.contradiction(values, self._vehicle)
+            or outputs.conflict(values, found, injecting=self._injection is not None)
+        )
         if self._injection is not None and self._version is not None and not self._trouble:
             self._trouble = self._injection.prepare(self._version, values)
         if self._trouble:
             return
         self._found, self._journaled = found, bool(left)
         self._advisor = Advisor(self._vehicle, geometry)
-        self._note_applied()
+        self._remedies = RemedyBook(self._advisor, motors)
         if left and self._armed is False:
             self._restore()
         elif left:
             # Back in the air: what was told stays told, and is not told again.
-            share = [values[f"CA_ROTOR{i}_CT"] / (found[f"CA_ROTOR{i}_CT"] or 1.0) for i in range(motors)]
-            self._target_effectiveness = np.clip(np.array(share), 0.0, 1.0)
-
-    def _wrong_output(self) -> str:
-        """The first output that drives another motor than its number says; empty when all are in order."""
-        for motor in range(1, self._vehicle.motors + 1):
-            function = self.parameters.values.get(f"PWM_MAIN_FUNC{motor}")
-            if function is not None and function != _MOTOR_FUNCTION + motor:
-                return f"PWM_MAIN_FUNC{motor} is {function:.0f}, motor {motor} needs {_MOTOR_FUNCTION + motor}"
-        return ""
+            share = [values[f"CA_ROTOR{i}_CT"] / found[f"CA_ROTOR{i}_CT"] for i in range(motors)]
+            self._attempted = np.clip(np.array(share), 0.0, 1.0)
+        self._note_applied()
 
     # -- parameters ---------------------------------------------------------------------------------------------
 
-    def _tell(self, effectiveness: np.ndarray, *, yaw_released: bool) -> None:
-        """Want the parameters of this remedy; the yaw release first, so that every part of the burst can fly."""
-        assert self._found
-        wanted: dict[str, float] = {}
-        for i in range(self._vehicle.motors):
-            name = f"CA_ROTOR{i}_KM"
-            wanted[name] = 0.0 if yaw_released else self._found[name]
-        for i, share in enumerate(effectiveness):
-            name = f"CA_ROTOR{i}_CT"
-            wanted[name] = self._found[name] * float(share)
-        values = self.parameters.values
-        self._wanted = {
-            n: v for n, v in wanted.items() if not np.isclose(values.get(n, np.nan), v, rtol=1e-5, atol=1e-6)
+    def _tell(self, remedy: Remedy) -> None:
+        """Want the parameters of this remedy, in the order in which every part of the burst flies best."""
+        scale = {
+            f"CA_ROTOR{i}_CT": self._found[f"CA_ROTOR{i}_CT"] * float(share)
+            for i, share in enumerate(remedy.effectiveness)
         }
+        ahead = [] if remedy.first is None else [f"CA_ROTOR{remedy.first}_CT"]
+        moments = [f"CA_ROTOR{i}_KM" for i in range(self._vehicle.motors)]
+        wanted = {name: scale[name] for name in ahead}
+        wanted |= {name: 0.0 if remedy.yaw_released else self._found[name] for name in moments}
+        wanted |= {name: value for name, value in scale.items() if name not in ahead}
+        values = self.parameters.values
+        self._wanted = {name: value for name, value in wanted.items() if not _same(values[name], value)}
         self._sent_s = -np.inf
 
     def _restore(self) -> None:
+        """Want everything as it was found: all of it, for what is on its way may not have been confirmed yet."""
         if self._injection is not None:
-            self._injection.motor = None  # PX4 forgets it by itself when it disarms
-        if self._found:
-            self._target_effectiveness = np.ones(self._vehicle.motors)
-            self._refused_for = None
-            self._tell(self._target_effectiveness, yaw_released=False)
+            self._injection.lift()
+        self._attempted = np.ones(self._vehicle.motors)
+        self._note = ""
+        if self._journaled and self._found:
+            self._wanted = dict(self._found)
+            self._sent_s = -np.inf
 
     def _original(self) -> bool:
         values = self.parameters.values
-        return all(np.isclose(values[n], v, rtol=1e-5, atol=1e-6) for n, v in self._found.items())
+        return all(_same(values[name], value) for name, value in self._found.items())
 
     def _sets(self, now_s: float) -> list[Message]:
         """PARAM_SET for everything not yet confirmed, again every 50 ms."""
@@ -229,7 +236,8 @@ class Px4Adapter:
     @property
     def unfinished(self) -> bool:
         """Whether something is changed that could be restored now."""
-        return bool(self._found) and self._armed is False and (self._journaled or bool(self._wanted))
+        pending = self._injection is not None and self._injection.unfinished
+        return self._armed is False and (pending or (bool(self._found) and (self._journaled or bool(self._wanted))))
 
     def tick(self, now_s: float) -> list[Message]:
         """Version and parameters until they are known; what is wanted until it is confirmed."""
@@ -249,8 +257,11 @@ class Px4Adapter:
                 )
             return out
         out += self.parameters.tick(now_s)
-        if self._advisor is None and not self._trouble and self.parameters.complete and self._armed is not None:
+        ready = self.parameters.complete and self._armed is not None
+        if self._advisor is None and not self._trouble and ready:
             self._begin()
+        elif self._remedies is not None and self._armed is False:
+            self._remedies.prepare_one()
         out += self._sets(now_s)
         if self._injection is not None:
             out += self._injection.tick(now_s)
@@ -301,20 +312,20 @@ class Px4Adapter:
         if output.mode == Mode.OBSERVE or not output.flying or self._advisor is None or not self._armed:
             return []
         believed = np.where(output.failed, 0.0, np.where(output.degraded, np.clip(output.effectiveness, 0.1, 1.0), 1.0))
-        change = np.abs(believed - self._target_effectiveness)
-        declared = bool(((believed == 0.0) != (self._target_effectiveness == 0.0)).any())
-        waited = abs(output.time_s - self._changed_s) >= _CHANGE_INTERVAL_S
-        if not declared and (change.max() < _CHANGE_MIN or not waited):
+        return self._attempt(believed, output.time_s)
+
+    def _attempt(self, believed: np.ndarray, time_s: float) -> list[Message]:
+        """At once when other motors are dead than at the last attempt; else on a large change, once a second."""
+        dead_changed = bool(((believed == 0.0) != (self._attempted == 0.0)).any())
+        waited = abs(time_s - self._changed_s) >= _CHANGE_INTERVAL_S
+        if not dead_changed and (np.abs(believed - self._attempted).max() < _CHANGE_MIN or not waited):
             return []
-        if self._refused_for is not None and bool((self._refused_for == believed).all()):
-            return []
-        self._changed_s = output.time_s
+        self._changed_s, self._attempted = time_s, believed.copy()
+        assert self._advisor is not None and self._remedies is not None
         if self._injection is not None:
-            self._target_effectiveness = believed
             return self._injection.act(believed, self._advisor)
-        remedy = self._advisor.remedy(believed)
+        remedy = self._remedies.of(believed)
         if isinstance(remedy, NoRemedy):
-            self._refused_for = believed
             self._note = f"not told to PX4: {remedy.reason}"
             return []
         try:
@@ -322,10 +333,24 @@ class Px4Adapter:
         except JournalError as error:
             self._note = str(error)
             return []
-        self._refused_for, self._note = None, "yaw given up" if remedy.yaw_released else ""
-        self._target_effectiveness = believed
-        self._tell(remedy.effectiveness, yaw_released=remedy.yaw_released)
+        self._note = "yaw given up" if remedy.yaw_released else ""
+        self._tell(remedy)
         return self._sets(self._tick_s)
+
+    def hands_off(self) -> str:
+        """Said by ``blocked``."""
+        return ""
+
+    def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
+        """The operator's word, told in the air only."""
+        if self._advisor is None or not self._armed:
+            return []
+        return self._attempt(np.where(failed, 0.0, 1.0), time_s)
+
+    def verdict(self, output: Output) -> str:
+        """Whether PX4 was told."""
+        note = self._note if self._injection is None else self._injection.note
+        return "NOT told to PX4" if note and note != "yaw given up" else "told to PX4"
 
     def _write_journal(self) -> None:
         if self._journaled:

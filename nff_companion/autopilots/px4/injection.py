@@ -54,6 +54,16 @@ class Injection:
         self.motor = dead[0]
         return self._send(self.motor, self._kind)
 
+    def lift(self) -> None:
+        """Undo it, armed or not: PX4 keeps an injected failure over a disarming until it is told otherwise."""
+        self._pending = None if self.motor is None else (self.motor, int(dialect.FAILURE_TYPE_OK))
+        self.motor = None
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether something was told that is not acknowledged."""
+        return self._pending is not None
+
     def tick(self, now_s: float) -> list[Message]:
         """Again, what was not acknowledged."""
         self._tick_s = now_s

@@ -48,10 +48,15 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Remedy:
-    """``effectiveness`` (m,) to scale each CT with, and whether every KM is set to 0."""
+    """``effectiveness`` (m,) to scale each CT with, and whether every KM is set to 0.
+
+    ``first``: index of the motor whose CT is to be sent ahead of everything else, None: the moments go first. PX4 takes
+    a burst of parameters in parts, up to a second apart.
+    """
 
     effectiveness: np.ndarray
     yaw_released: bool
+    first: int | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class Advisor:
 
     def _hover(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray) -> tuple[float | None, float]:
         """Least collective that carries the weight, and the largest thrust over weight."""
-        collectives = np.linspace(0.0, 1.0, 101)
+        collectives = np.linspace(0.0, 1.0, 51)
         thrust = np.array([self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -c]))[0] for c in collectives])
         enough = np.flatnonzero(thrust >= self._vehicle.hover)
         largest = float(thrust.max()) / self._vehicle.hover
@@ -111,6 +116,19 @@ class Advisor:
         )
         return Prediction(collective, ratio, bias, response, cross)
 
+    def _first(self, effectiveness: np.ndarray) -> int | None:
+        """Which part of the burst the vehicle flies best with while the rest is not yet taken."""
+        best: tuple[float, int | None] = (self._score(np.ones_like(effectiveness), effectiveness), None)
+        for motor in np.flatnonzero(effectiveness < 1.0):
+            told = np.ones_like(effectiveness)
+            told[motor] = effectiveness[motor]
+            best = max(best, (self._score(told, effectiveness), int(motor)), key=lambda pair: pair[0])
+        return best[1]
+
+    def _score(self, told: np.ndarray, true: np.ndarray) -> float:
+        prediction = self.predict(told, true, yaw_released=False)
+        return min(prediction.thrust_ratio, 1.05) - 2.0 * float(np.abs(prediction.bias).max())
+
     def remedy(self, effectiveness: np.ndarray) -> Remedy | NoRemedy:
         """What to tell for true motor ``effectiveness`` (m,): the truth, or the truth without yaw, or nothing."""
         reason = ""
@@ -118,7 +136,7 @@ class Advisor:
             prediction = self.predict(effectiveness, effectiveness, yaw_released=released)
             fault = prediction.fault(yaw=not released)
             if not fault:
-                return Remedy(effectiveness.copy(), released)
+                return Remedy(effectiveness.copy(), released, self._first(effectiveness) if released else None)
             reason = reason or fault
         return NoRemedy(reason)
 

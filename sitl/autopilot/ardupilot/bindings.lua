@@ -116,7 +116,9 @@ local function bindings()
         host.text(integer(severity, 0, 7, "severity"), text:sub(1, 50))
       end,
     },
+    motors = { get_interlock = function() return host.interlock() end },
     SRV_Channels = {
+      get_emergency_stop = function() return host.emergency_stop() end,
       find_channel = function(_, number) return host.channel_of(integer(number, 0, 300, "function")) end,
       set_output_pwm_chan_timeout = function(_, channel, pwm, time_ms)
         host.override(

@@ -27,6 +27,8 @@ BINDINGS = (
     "add_table",
     "add_parameter",
     "armed",
+    "interlock",
+    "emergency_stop",
     "text",
     "channel_of",
     "override",

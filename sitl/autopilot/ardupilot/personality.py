@@ -40,6 +40,7 @@ class ArduPilotPersonality:
         }.items():
             parameters.setdefault(name, value)
         self.port = ScriptedPort(motors, 1.0 / AUTOPILOT_RATE_HZ)
+        self.pilot_stops = False
         self.texts: list[tuple[float, int, str]] = []
         self._motors_added: set[int] = set()
         self._initialised = False
@@ -110,6 +111,14 @@ class ArduPilotPersonality:
     def armed(self) -> bool:
         """Whether the vehicle is armed."""
         return bool(self._fleet.autopilot.armed[self._vehicle])
+
+    def interlock(self) -> bool:
+        """Whether the pilot's motor interlock lets the motors run."""
+        return not self.pilot_stops
+
+    def emergency_stop(self) -> bool:
+        """Whether the pilot has stopped the motors."""
+        return self.pilot_stops
 
     def text(self, severity: int, text: bytes) -> None:
         """STATUSTEXT."""

@@ -19,6 +19,7 @@ local SOURCE_STOCK, SOURCE_DECLARATION, SOURCE_MATRIX, SOURCE_OVERRIDE = 0, 1, 2
 local TEXT_WARNING, TEXT_INFO = 4, 6
 local PARAMETER_TABLE = 146 -- key of our parameters: one number a script, for all scripts of a vehicle
 
+local motors_library = motors -- the firmware's binding of this name
 local motors = airframe.motors
 local own_system = math.floor(param:get("MAV_SYSID") or param:get("SYSID_THISMAV") or 1)
 local dynamic = param:get("FRAME_CLASS") == FRAME_CLASS_DYNAMIC
@@ -152,6 +153,11 @@ local function unfit(fields)
   return nil
 end
 
+-- Overrides win over the firmware's own stops: it is on us to honour them.
+local function stopped_by_pilot()
+  return SRV_Channels:get_emergency_stop() or not motors_library:get_interlock()
+end
+
 local handlers = {}
 
 handlers[P.HEARTBEAT] = function()
@@ -229,7 +235,7 @@ handlers[P.OVERRIDE] = function(fields, now)
   if reason then
     return reason
   end
-  if not arming:is_armed() then
+  if not arming:is_armed() or stopped_by_pilot() then
     return "disarmed"
   end
   if fields.motors ~= motors then
@@ -324,6 +330,14 @@ local function run()
   end
   if matrix and (now >= matrix.expires_ms or now - last_packet_ms >= LINK_LOST_MS) then
     matrix = nil
+  end
+  if now < override_until_ms and stopped_by_pilot() then
+    for motor = 1, motors do
+      if channels[motor] then
+        SRV_Channels:set_output_pwm_chan_timeout(channels[motor], airframe.pwm_min, STOP_MS)
+      end
+    end
+    override_until_ms = 0
   end
   local source = apply(now)
   if held ~= 0 then

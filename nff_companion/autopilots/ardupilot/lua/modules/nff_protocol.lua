@@ -40,6 +40,15 @@ local LAYOUT = {
   [P.STORED] = { "<HHH", { "sequence", "failed", "check" } },
 }
 
+-- Sum over bytes: firmware hands frames with a wrong CRC to scripts too, so every message has its own.
+function P.check(data)
+  local sum = 1
+  for i = 1, #data do
+    sum = (sum * 31 + data:byte(i)) % 65521
+  end
+  return sum
+end
+
 -- Fields of one message as a string.
 function P.pack(kind, fields)
   local layout = LAYOUT[kind]
@@ -51,16 +60,17 @@ function P.pack(kind, fields)
   if layout[3] then
     out = out .. fields[layout[3]]
   end
-  return out .. string.char(P.END)
+  return out .. string.pack("<HB", P.check(out), P.END)
 end
 
 -- Fields of one message, nil when it is none of ours. What repeats stays a string: it is unpacked when it is used.
 function P.unpack(data)
-  if #data < 3 or data:byte(1) ~= P.VERSION or data:byte(#data) ~= P.END then
+  if #data < 5 or data:byte(1) ~= P.VERSION or data:byte(#data) ~= P.END then
     return nil
   end
+  local body = data:sub(1, #data - 3)
   local layout = LAYOUT[data:byte(2)]
-  if not layout or #data < 3 + string.packsize(layout[1]) then
+  if not layout or #body < 2 + string.packsize(layout[1]) or string.unpack("<H", data, #data - 2) ~= P.check(body) then
     return nil
   end
   local fields = { kind = data:byte(2) }
@@ -68,7 +78,7 @@ function P.unpack(data)
   for i, name in ipairs(layout[2]) do
     fields[name] = values[i]
   end
-  local rest = data:sub(values[#values], #data - 1)
+  local rest = body:sub(values[#values])
   if layout[3] then
     if #rest ~= fields.motors * layout[5] * string.packsize("<" .. layout[4]) then
       return nil
@@ -94,15 +104,6 @@ function P.open(message, own_system)
   end
   local from_system, from_component = message:byte(8), message:byte(9)
   return P.unpack(message:sub(HEAD + 6, HEAD + 5 + length)), from_system, from_component
-end
-
--- Sum over bytes that tells tables apart.
-function P.check(data)
-  local sum = 1
-  for i = 1, #data do
-    sum = (sum * 31 + data:byte(i)) % 65521
-  end
-  return sum
 end
 
 return P
