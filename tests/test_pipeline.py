@@ -243,6 +243,17 @@ def test_override_holds_the_last_target_when_targets_stop(recorded: list[Sample]
     np.testing.assert_allclose(pipeline._hold.position_m, far)
 
 
+def test_override_keeps_its_hands_off_where_it_is_told_to(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
+    pipeline.hands_off = "the pilot flies"
+    sample = recorded[900]
+    assert pipeline.respond(sample) is None
+    output = pipeline.step(sample, None)
+    assert (output.mode, output.reason) == (Mode.ALLOCATE, "the pilot flies")
+    pipeline.hands_off = ""
+    assert pipeline.respond(recorded[901]) is not None
+
+
 def test_a_blocked_autopilot_gets_nothing_and_the_reason_is_shown(recorded: list[Sample]) -> None:
     pipeline, _ = run(recorded[:900])
     pipeline.blocked = "the autopilot does not answer"

@@ -20,6 +20,7 @@ from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geome
 from nff_companion.errors import JournalError
 from nff_companion.link.codec import dialect
 from nff_companion.pipeline import Mode, Output
+from nff_companion.trials.fly import px4 as px4_flights
 from nff_companion.vehicle import Vehicle
 
 # Both motors told dead drove all eight outputs of a flown PX4 v1.16 to zero.
@@ -477,3 +478,20 @@ def test_killed_at_any_step_the_next_start_restores_everything(tmp_path: Path, m
         assert adapter.complaints() == []
     print(f"killed at each of {kill_at - 1} steps")
     assert kill_at > 30
+
+
+# -- real firmware ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.realtime
+def test_a_real_px4_keeps_its_height_and_gets_its_parameters_back() -> None:
+    if not os.environ.get(px4_flights.ENVIRONMENT):
+        print(f"{px4_flights.ENVIRONMENT} is not set: no real PX4 was flown")
+        return
+    options = px4_flights.FlyOptions(binary=px4_flights.binary_from(None), kill_and_land=True)
+    flown = px4_flights.run(options, baseline=False)["companion"]
+    print(flown)
+    assert not flown["crashed"]
+    assert flown["height_lost_m"] < 1.0
+    assert flown["changed_parameters"] > 0
+    assert flown["not_restored"] == []
