@@ -199,8 +199,8 @@ class Daemon:
         for message in messages:
             self._hub.send(message, port, self._clock())
 
-    def _say(self, text: str, severity: int) -> None:
-        self._send_all(self._text.say(text, severity, self._clock()), None)
+    def _say(self, text: str, severity: int, subject: str = "") -> None:
+        self._send_all(self._text.say(text, severity, self._clock(), subject), None)
 
     # -- between samples ----------------------------------------------------------------------------------------
 
@@ -239,7 +239,9 @@ class Daemon:
         self._send_all(self._streams.requests(streams, adapter.target, now), self._port)
         self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now)
         for name, (rate, asked) in self.reporter.slow_streams.items():
-            self._say(f"NFF: {name} {rate:.0f} Hz, {asked:.0f} needed"[:50], dialect.MAV_SEVERITY_WARNING)
+            self._say(f"NFF: {name} {rate:.0f} Hz, {asked:.0f} needed"[:50], dialect.MAV_SEVERITY_WARNING, name)
+        for motor in self.pipeline.speed_faults:
+            self._say(f"NFF: motor {motor} pulls but reads no speed", dialect.MAV_SEVERITY_WARNING)
         for text in adapter.complaints():
             self._say(f"NFF: {text}"[:50], dialect.MAV_SEVERITY_WARNING)
         if adapter.telemetry is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 
 from nff_companion.link.codec import Message, dialect
@@ -20,12 +19,11 @@ class PilotText:
         self._last: dict[str, float] = {}
         self.withheld = 0
 
-    def say(self, text: str, severity: int, now_s: float) -> list[Message]:
-        """The message to send; none when it is withheld. Texts that differ in numbers alone are the same, but for
-        urgent ones."""
+    def say(self, text: str, severity: int, now_s: float, subject: str = "") -> list[Message]:
+        """The message to send; none when it is withheld. Texts of one ``subject`` count as the same text."""
         critical = severity <= dialect.MAV_SEVERITY_ERROR
         again_s = 1.0 if critical else _REPEAT_S
-        key = text if critical else re.sub(r"\d+", "#", text)
+        key = subject or text
         if now_s - self._last.get(key, -float("inf")) < again_s:
             self.withheld += 1
             return []

@@ -188,6 +188,7 @@ class Reporter:
             "unallocated": None if output is None else [round(float(v), 4) for v in output.unallocated],
             "rate_hz": round(self.rate_hz, 1),
             "step_us": round(self.step_us, 1),
+            "speed_sensor_faults": self._pipeline.speed_faults,
             "slow_streams": {n: {"hz": round(h, 1), "asked_hz": a} for n, (h, a) in self.slow_streams.items()},
             "sample_age_s": None if sample_age_s is None else round(sample_age_s, 3),
             "counters": {

@@ -236,8 +236,8 @@ def test_texts_are_short_and_do_not_flood_but_a_failure_always_passes() -> None:
     assert text.say("the same", warning, 5.0) == []
     sent = sum(len(text.say(f"text {chr(97 + k)}", warning, 6.0 + 0.01 * k)) for k in range(26))
     assert sent == 4
-    assert len(text.say("IMU 98 Hz", warning, 20.0)) == 1
-    assert text.say("IMU 97 Hz", warning, 21.0) == [], "another number is not another text"
+    assert len(text.say("IMU 98 Hz", warning, 20.0, "IMU")) == 1
+    assert text.say("IMU 97 Hz", warning, 21.0, "IMU") == [], "another number is not another subject"
     assert len(text.say("NFF: telemetry stopped, observing", dialect.MAV_SEVERITY_ERROR, 21.0)) == 1
     (message,) = text.say("Motor 3 failed (eff 0.02): reallocated", critical, 22.0)
     assert message.text == "Motor 3 failed (eff 0.02): reallocated"

@@ -55,6 +55,8 @@ def _table(state: dict[str, Any]) -> Any:
         f"{state['rate_hz']:.0f} Hz, step {state['step_us']:.0f} us, last sample {age}; {allocation}; "
         f"bad samples {state['counters']['bad_samples']}, bad frames {state['counters']['bad_frames']}, "
         f"unallocated {state['unallocated']}"
+        + "".join(f"; {name} {s['hz']:.0f} of {s['asked_hz']:.0f} Hz" for name, s in state["slow_streams"].items())
+        + "".join(f"; motor {motor}: speed sensor" for motor in state["speed_sensor_faults"])
     )
     return table
 
