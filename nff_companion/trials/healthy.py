@@ -17,11 +17,11 @@ _GUST_AT_S, _GUST_S, _GUST_M_S = 112.0, 3.0, 5.0
 _PAYLOAD_AT_S, _PAYLOAD_SHARE = 128.0, 0.1
 
 
-def gusts(vehicles: int) -> np.ndarray:
-    """One gust for each vehicle, from a direction of its own."""
+def gusts(seeds: list[int]) -> np.ndarray:
+    """One gust for each vehicle, from a direction of its seed's own."""
     rows = []
-    for vehicle in range(vehicles):
-        angle = 2.4 * vehicle
+    for vehicle, seed in enumerate(seeds):
+        angle = 2.4 * (seed - 1)
         push = (_GUST_M_S * math.cos(angle), _GUST_M_S * math.sin(angle), 1.0)
         rows.append((vehicle, _GUST_AT_S, _GUST_S, *push))
     return np.array(rows)

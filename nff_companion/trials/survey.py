@@ -193,7 +193,7 @@ def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], in
     count = len(flights)
     seeds = [seed for _, seed in flights] * (2 if options.compare else 1)
     with temporary_card() as card:
-        flight = _build(options, seeds, [], list(range(count)), card, gusts=healthy.gusts(len(seeds)))
+        flight = _build(options, seeds, [], list(range(count)), card, gusts=healthy.gusts(seeds))
         script = healthy.Script(flight.fleet)
         records = _record_until(flight, 0.0, healthy.DURATION_S, script)
     results = []
