@@ -59,6 +59,7 @@ class Daemon:
         self._hub = Hub(urls, 1, config.link.component, self._poll, clock())
         self._adapter: Adapter | None = None
         self._port: int | None = None  # of the hub, where the autopilot is heard
+        self._heartbeat: Message = None  # the autopilot's last one
         self._status = StatusServer(config.companion.status_socket or default_status_socket(), self._request)
         self._poll.register(self._status.fileno(), select.POLLIN)
         self._stopping = False
@@ -135,9 +136,12 @@ class Daemon:
                 self._say(f"NFF: system {message.get_srcSystem()} is heard too", dialect.MAV_SEVERITY_WARNING)
             return
         self._port = port
+        if kind == "HEARTBEAT":
+            self._heartbeat = message
         other = self._meeting.better(adapter, message.get_msgId())
         if other is not None:
             adapter = self._adapter = other
+            adapter.observe(self._heartbeat)  # whether the vehicle is armed, a second before it is said again
             log.info("autopilot speaks our dialect")
         self._streams.heard(message.get_msgId(), self._clock())
         sample = adapter.observe(message)
@@ -148,7 +152,7 @@ class Daemon:
             # After a restart in flight the autopilot knows better than we do what has been declared; what an earlier
             # flight has left behind on the ground is not taken over.
             self._adopted = True
-            if sample.armed:
+            if self._heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED:
                 self.pipeline.adopt(adapter.applied.failed)
         self.pipeline.hands_off = adapter.hands_off()
         self.pipeline.blocked = adapter.blocked(sample.time_s, self.pipeline.mode)
@@ -184,7 +188,7 @@ class Daemon:
         if adapter is None:
             self._say(f"NFF: autopilot {heartbeat.autopilot} is not supported", dialect.MAV_SEVERITY_ERROR)
             return False
-        self._adapter, self._port = adapter, port
+        self._adapter, self._port, self._heartbeat = adapter, port, heartbeat
         self._hub.set_system(system)
         self._parameters.adopt(system)
         log.info("autopilot found: system %d, adapter %s", system, adapter.name)
