@@ -378,6 +378,18 @@ def test_an_unknown_autopilot_is_said_and_left_alone(tmp_path: Path) -> None:
         assert not [m for m in heard if m.get_type() == "COMMAND_LONG"]
 
 
+def test_another_vehicle_is_said_and_gets_nothing(tmp_path: Path) -> None:
+    with Listening(tmp_path) as there:
+        there.say(HEARTBEAT)
+        there.hear(0.3)
+        there.codec = Codec(9, 1)
+        there.say(HEARTBEAT)
+        heard = there.hear(0.5)
+        assert any(m.get_type() == "STATUSTEXT" and "system 9 is heard too" in str(m.text) for m in heard)
+        targets = {m.target_system for m in heard if m.get_type() in ("COMMAND_LONG", "TUNNEL", "PARAM_REQUEST_READ")}
+        assert targets <= {3}
+
+
 def test_telemetry_filters_are_taken_from_the_autopilot_on_the_ground() -> None:
     pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
     before = pipeline.estimator

@@ -132,6 +132,22 @@ def test_a_watch_needs_proof_before_it_believes_a_zero() -> None:
         assert not watch.step(state, now, speed, np.full(4, now), thrust).any()
 
 
+def test_a_hint_that_nothing_confirms_is_withdrawn() -> None:
+    watch, state = RotorSpeedWatch(4), RotorSpeedState.start(4)
+    thrust = np.full(4, 0.4)
+    hinted = []
+    for k in range(400):
+        now = 0.01 * k
+        speed = np.full(4, 400.0 + k % 3)
+        if now >= 2.0:
+            speed[1] = 0.0
+        if watch.step(state, now, speed, np.full(4, now), thrust)[1]:
+            hinted.append(now)
+    assert 2.0 <= hinted[0] < 2.05
+    assert hinted[-1] < hinted[0] + watch.options.fault_s + 0.02
+    assert watch.faults(state, np.zeros(4, bool)).tolist() == [False, True, False, False]
+
+
 def test_telemetry_of_both_autopilots_reaches_the_sample() -> None:
     octo = vehicle.load("octo-x")
     decoder = TelemetryDecoder(octo)
