@@ -158,8 +158,9 @@ class Daemon:
         self.pipeline.blocked = adapter.blocked(sample.time_s, self.pipeline.mode)
         override = self.pipeline.respond(sample)
         if override is not None:
-            self._send(adapter.drive(override, sample.time_s))
-            self.reporter.commands_sent += 1
+            for command in adapter.drive(override, sample.time_s):
+                self._send(command)
+                self.reporter.commands_sent += 1
         output = self.pipeline.step(sample, override)
         for command in adapter.act(output):
             self._send(command)

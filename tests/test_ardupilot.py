@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -100,6 +101,15 @@ def test_factors_that_cannot_be_carried_are_refused() -> None:
         factors.of_matrix(model, np.full((8, 4), 50.0))
     with pytest.raises(AllocationInfeasible):
         factors.of_matrix(model, np.full((8, 4), np.nan))
+
+
+def test_a_plan_that_cannot_be_carried_costs_its_table_and_nothing_else() -> None:
+    model = vehicle.load("octo-x")
+    plans = tables.compute(model, allocator("trim"))
+    plans[1] = dataclasses.replace(plans[1], matrix=np.full((8, 4), 50.0))
+    adapter = ArduPilotAdapter(model, (1, 1), plans)
+    assert set(factors.of_plans(model, plans)) == {0, *plans} - {1}
+    assert not adapter.tables_stored
 
 
 def test_parameters_that_would_mislead_are_named() -> None:

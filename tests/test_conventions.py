@@ -14,7 +14,7 @@ import pytest
 
 from nff_companion import host, vehicle
 from nff_companion.autopilots.base import Stream
-from nff_companion.autopilots.parameters import ParameterReader, name_of
+from nff_companion.autopilots.parameters import ParameterReader, encode, name_of
 from nff_companion.autopilots.streams import StreamMonitor
 from nff_companion.config import load
 from nff_companion.daemon import Daemon
@@ -211,6 +211,17 @@ def test_timesync_answers_asks_and_ignores_the_late() -> None:
     assert sync.offset_s == pytest.approx(3.0)
     (answer,) = sync.observe(dialect.MAVLink_timesync_message(0, 77), 6_000_000_000)
     assert (answer.tc1, answer.ts1) == (6_000_000_000, 77)
+
+
+def test_a_parameter_that_is_no_number_counts_as_unanswered() -> None:
+    reader = ParameterReader(["A"], (1, 1), bytewise=False)
+    for bad in (float("nan"), float("inf")):
+        assert reader.observe(dialect.MAVLink_param_value_message(b"A", bad, 9, 1, 0)) is None
+    assert reader.values == {}
+    whole = ParameterReader(["N"], (1, 1), bytewise=True)
+    minus_one = encode(-1.0, dialect.MAV_PARAM_TYPE_INT32, bytewise=True)  # its bytes are those of a NaN
+    whole.observe(dialect.MAVLink_param_value_message(b"N", minus_one, dialect.MAV_PARAM_TYPE_INT32, 1, 0))
+    assert whole.values == {"N": -1.0}
 
 
 def test_parameters_are_read_until_answered_or_known_to_be_absent() -> None:

@@ -325,6 +325,23 @@ def test_what_is_not_understood_is_observed_with_a_reason(
         assert adapter.act(output(model, (3,))) == []
 
 
+def test_asked_to_override_it_allocates_and_says_why(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = ready(tmp_path, model, px4)
+    assert adapter.blocked(now, Mode.OVERRIDE) == ""
+    assert "allocating instead" in adapter.hands_off()
+    assert adapter.drive(np.full(8, 0.5), now) == []
+
+
+def test_rotors_that_are_no_numbers_are_observed(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model, CA_ROTOR3_PX=float("nan"))
+    adapter, now = ready(tmp_path, model, px4)
+    assert "CA_ROTOR3_PX" in adapter.blocked(now, Mode.ALLOCATE)
+    assert adapter.act(output(model, (3,))) == []
+
+
 def test_a_journal_that_cannot_be_written_stops_the_change(tmp_path: Path) -> None:
     model = octo()
     px4 = FakePx4(model)

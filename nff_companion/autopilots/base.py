@@ -105,8 +105,8 @@ class Adapter(Protocol):
     def verdict(self, output: Output) -> str:
         """What was done about the declarations of ``output``, in one or two words for the pilot."""
 
-    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
-        """The command that puts motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""
+    def drive(self, outputs: np.ndarray, time_s: float) -> list[Message]:
+        """Commands that put motor ``outputs`` (m,) in 0..1 into force, answering the sample of ``time_s``."""
 
     def release(self, time_s: float) -> list[Message]:
         """Commands that give the vehicle back to the autopilot, keeping confirmed declarations."""

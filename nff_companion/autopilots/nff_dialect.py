@@ -111,12 +111,14 @@ class NffDialectAdapter:
             return ""
         return "the autopilot does not say what it has in force (NFF_APPLIED): observing"
 
-    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
+    def drive(self, outputs: np.ndarray, time_s: float) -> list[Message]:
         """Motor outputs (m,) that answer the sample of ``time_s``."""
         padded = outputs.tolist() + [math.nan] * (_OUTPUTS - len(outputs))
-        return dialect.MAVLink_nff_actuator_override_message(
-            round(1e6 * time_s), self._next(), OVERRIDE_TIMEOUT_MS, *self.target, len(outputs), padded
-        )
+        return [
+            dialect.MAVLink_nff_actuator_override_message(
+                round(1e6 * time_s), self._next(), OVERRIDE_TIMEOUT_MS, *self.target, len(outputs), padded
+            )
+        ]
 
     def _next(self) -> int:
         self._sequence = (self._sequence + 1) % 2**32

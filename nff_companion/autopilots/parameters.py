@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable
 
@@ -54,11 +55,14 @@ class ParameterReader:
         self._complete = False
 
     def observe(self, message: Message) -> str | None:
-        """Take a PARAM_VALUE; its name when it is one of ours."""
+        """Take a PARAM_VALUE; its name when it is one of ours and a number."""
         name = name_of(message)
         if name not in self._wanted:
             return None
-        self.values[name] = decode(message.param_value, message.param_type, bytewise=self._bytewise)
+        value = decode(message.param_value, message.param_type, bytewise=self._bytewise)
+        if not math.isfinite(value):
+            return None  # as if it had not been answered: it is asked for again, and missed
+        self.values[name] = value
         self.kinds[name] = message.param_type
         return name
 

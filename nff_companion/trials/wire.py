@@ -114,10 +114,12 @@ class WireCompanion:
                 sample = adapter.observe(message)
                 if sample is None:
                     continue
+                pipeline.hands_off = adapter.hands_off()
                 pipeline.blocked = adapter.blocked(sample.time_s, pipeline.mode)
                 override = pipeline.respond(sample)
                 if override is not None:
-                    self._send(adapter.drive(override, sample.time_s), now_s)
+                    for command in adapter.drive(override, sample.time_s):
+                        self._send(command, now_s)
                 output = self.outputs = pipeline.step(sample, override)
                 self.events += [(now_s, event) for event in output.events]
                 for command in adapter.act(output):

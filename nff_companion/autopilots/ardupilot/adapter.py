@@ -266,14 +266,13 @@ class ArduPilotAdapter:
             )
         ]
 
-    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
+    def drive(self, outputs: np.ndarray, time_s: float) -> list[Message]:
         """Motor outputs (m,) in 0..1 that answer the sample of ``time_s``."""
         command = self._vehicle.command
         low, high = command.pwm_min, command.pwm_max
         pwm = np.clip(np.round(low + (high - low) * outputs), low, high).astype(np.uint16)
-        return self._message(
-            Kind.OVERRIDE, sample_ms=tunnel.milliseconds(time_s), timeout_ms=OVERRIDE_TIMEOUT_MS, pwm=pwm
-        )
+        sample_ms = tunnel.milliseconds(time_s)
+        return [self._message(Kind.OVERRIDE, sample_ms=sample_ms, timeout_ms=OVERRIDE_TIMEOUT_MS, pwm=pwm)]
 
     def release(self, time_s: float) -> list[Message]:
         """Drop the matrix; outputs expire by themselves, declarations stay."""

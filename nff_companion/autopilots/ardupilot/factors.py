@@ -6,6 +6,8 @@ largest of each torque 0.5 (AP_MotorsMatrix::normalise_rpy_factors), and does no
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from nff_companion.allocation.plan import Plan
@@ -40,8 +42,9 @@ def of_matrix(vehicle: Vehicle, matrix: np.ndarray) -> np.ndarray:
 
 
 def of_plans(vehicle: Vehicle, plans: dict[int, Plan]) -> dict[int, np.ndarray]:
-    """Factors (m, 4) int16 by failed mask; mask 0 is the stock mixer."""
+    """Factors (m, 4) int16 by failed mask; mask 0 is the stock mixer. A plan that cannot be carried has no table."""
     tables = {0: np.round(stock(vehicle) * FACTOR_SCALE).astype(np.int16)}
     for mask, plan in plans.items():
-        tables[mask] = of_matrix(vehicle, plan.matrix)
+        with contextlib.suppress(AllocationInfeasible):
+            tables[mask] = of_matrix(vehicle, plan.matrix)
     return tables

@@ -303,8 +303,6 @@ class Px4Adapter:
             return self._trouble
         if self._advisor is None:
             return "reading PX4's parameters"
-        if mode == Mode.OVERRIDE:
-            return "PX4 takes no motor outputs over MAVLink: use mode allocate"
         return ""
 
     def act(self, output: Output) -> list[Message]:
@@ -338,8 +336,8 @@ class Px4Adapter:
         return self._sets(self._tick_s)
 
     def hands_off(self) -> str:
-        """Said by ``blocked``."""
-        return ""
+        """No version takes outputs."""
+        return "PX4 takes no motor outputs over MAVLink: allocating instead"
 
     def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
         """The operator's word, told in the air only."""
@@ -359,9 +357,9 @@ class Px4Adapter:
         self._journal.write(self._autopilot, entries)
         self._journaled = True
 
-    def drive(self, outputs: np.ndarray, time_s: float) -> Message:
-        """Never called: outputs are no capability of PX4."""
-        raise NotImplementedError("PX4 takes no motor outputs over MAVLink")
+    def drive(self, outputs: np.ndarray, time_s: float) -> list[Message]:
+        """Nothing: ``hands_off`` says why."""
+        return []
 
     def release(self, time_s: float) -> list[Message]:
         """On the ground everything is restored; in the air declarations stay."""
