@@ -9,17 +9,14 @@ import select
 import signal
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nff_companion import host
-from nff_companion import vehicle as vehicle_model
 from nff_companion.autopilots.base import Adapter, Stream
-from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.streams import StreamMonitor, interval
-from nff_companion.config import MODES, Config, default_state_folder, default_status_socket
+from nff_companion.config import MODES, Config, default_status_socket
 from nff_companion.errors import NffError
 from nff_companion.link.codec import Message, dialect, has_fast_crc
 from nff_companion.link.hub import Hub
@@ -29,6 +26,7 @@ from nff_companion.parameter_server import ParameterServer
 from nff_companion.pilot_text import PilotText
 from nff_companion.pipeline import Mode, Output, Pipeline
 from nff_companion.reporting import Reporter
+from nff_companion.startup import endpoints, prepare
 from nff_companion.status_server import StatusServer
 
 log = logging.getLogger("nff")
@@ -44,19 +42,10 @@ class Daemon:
 
     def __init__(self, config: Config, notifier: Notifier, clock: Callable[[], float] = time.monotonic) -> None:
         self._config, self._notifier, self._clock = config, notifier, clock
-        self.vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
+        self.vehicle, self._meeting = prepare(config)
         self.pipeline = Pipeline(self.vehicle, config.link.rate_hz, config.pipeline_options())
-        folder = Path(config.companion.state_folder or default_state_folder())
-        self._meeting = Meeting(
-            self.vehicle,
-            config.link.autopilot,
-            config.companion.allocation,
-            folder / "parameters.journal",
-            config.link.px4_method,
-        )
         self._poll = select.poll()
-        urls = [config.link.endpoint, *config.link.more_endpoints]
-        self._hub = Hub(urls, 1, config.link.component, self._poll, clock())
+        self._hub = Hub(endpoints(config), 1, config.link.component, self._poll, clock())
         self._adapter: Adapter | None = None
         self._port: int | None = None  # of the hub, where the autopilot is heard
         self._heartbeat: Message = None  # the autopilot's last one

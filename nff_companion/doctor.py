@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import select
 import time
-from pathlib import Path
 
-from nff_companion import vehicle as vehicle_model
 from nff_companion.autopilots.base import Adapter, Finding, Stream
-from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.streams import StreamMonitor, interval
-from nff_companion.config import Config, default_state_folder
+from nff_companion.config import Config
 from nff_companion.link.codec import dialect
 from nff_companion.link.hub import Hub
+from nff_companion.startup import endpoints, prepare
 
 _TURN_S = 0.05
 _RATES_S = 5.0  # of listening after the streams were asked for
@@ -24,18 +22,9 @@ class Doctor:
     def __init__(self, config: Config) -> None:
         """Raises NffError when the configuration or its endpoints cannot be used."""
         self._config = config
-        self.vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
-        folder = Path(config.companion.state_folder or default_state_folder())
-        self._meeting = Meeting(
-            self.vehicle,
-            config.link.autopilot,
-            config.companion.allocation,
-            folder / "parameters.journal",
-            config.link.px4_method,
-        )
+        self.vehicle, self._meeting = prepare(config)
         self._poll = select.poll()
-        urls = [config.link.endpoint, *config.link.more_endpoints]
-        self._hub = Hub(urls, 1, config.link.component, self._poll, time.monotonic())
+        self._hub = Hub(endpoints(config), 1, config.link.component, self._poll, time.monotonic())
         self._streams = StreamMonitor()
         self._adapter: Adapter | None = None
         self._port: int | None = None
