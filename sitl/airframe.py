@@ -35,9 +35,16 @@ class PlantParameters:
     pwm_max: float
     gyro_filter_hz: float
     accelerometer_filter_hz: float
-    drag_area_m2: np.ndarray  # (3,)
-    rotor_drag_n_s_per_m: float
+    drag_area_m2: np.ndarray  # (2, 3) flying towards +x, +y, +z; towards -x, -y, -z
     pressure_centre_m: np.ndarray  # (3,)
+    rotor_radius_m: float
+    rotor_drag_n_s_per_m: float  # force of one rotor at full speed per m/s of its hub through the air
+    hub_height_m: float  # of the rotors above the centre of mass
+    hub_above_ground_m: float  # standing
+    translational_lift: float  # share of thrust gained when all induced velocity is gone
+    wake_loss: float  # share of thrust lost in the wake of a rotor ahead, at the induced velocity of hover
+    flap_back_n_m_s_per_m: float  # hub moment away from the wind, of one rotor at full speed per m/s
+    flap_side_n_m_s_per_m: float  # and across it, with the sign of the spin
 
     @property
     def vehicles(self) -> int:
@@ -105,7 +112,14 @@ def load(path: Path, *, vehicles: int = 1, thrust_to_weight: float | None = None
         pwm_max=float(command["pwm_max"]),
         gyro_filter_hz=float(telemetry["gyro_filter_hz"]),
         accelerometer_filter_hz=float(telemetry["accelerometer_filter_hz"]),
-        drag_area_m2=np.asarray(aero["drag_area_m2"], float),
-        rotor_drag_n_s_per_m=float(aero["rotor_drag_n_s_per_m"]),
+        drag_area_m2=np.array([aero["drag_area_forward_m2"], aero["drag_area_backward_m2"]], float),
         pressure_centre_m=np.asarray(aero["pressure_centre_m"], float),
+        rotor_radius_m=float(aero["rotor_radius_m"]),
+        rotor_drag_n_s_per_m=float(aero["rotor_drag_n_s_per_m"]),
+        hub_height_m=float(aero["hub_height_m"]),
+        hub_above_ground_m=float(aero["hub_above_ground_m"]),
+        translational_lift=float(aero["translational_lift"]),
+        wake_loss=float(aero["wake_loss"]),
+        flap_back_n_m_s_per_m=float(aero["flap_back_n_m_s_per_m"]),
+        flap_side_n_m_s_per_m=float(aero["flap_side_n_m_s_per_m"]),
     )

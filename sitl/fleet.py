@@ -27,8 +27,8 @@ class FleetOptions:
 
     seeds: list[int]
     model_error: float = 0.0
-    wind_m_s: float = 0.0
-    turbulence_m_s: float = 0.0
+    wind_m_s: float | list[float] = 0.0  # for all, or one a vehicle
+    turbulence_m_s: float | list[float] = 0.0
     height_m: float = 0.0
     gusts: np.ndarray | None = None
 
@@ -43,8 +43,9 @@ class Fleet:
         self.parameters = nominal.perturbed(fraction=options.model_error, generators=draw)
         hover_error = options.model_error * np.array([g.uniform(-1, 1) for g in draw])
         heading = np.array([g.uniform(0, 2 * np.pi) for g in draw])
-        mean = options.wind_m_s * np.stack([np.cos(heading), np.sin(heading), np.zeros(len(seeds))], axis=1)
-        sigma = np.full(len(seeds), options.turbulence_m_s)
+        speed = np.broadcast_to(np.asarray(options.wind_m_s, float), (len(seeds),))[:, None]
+        mean = speed * np.stack([np.cos(heading), np.sin(heading), np.zeros(len(seeds))], axis=1)
+        sigma = np.broadcast_to(np.asarray(options.turbulence_m_s, float), (len(seeds),))
         self.wind = Wind(mean, sigma, dt, vehicle_generators(seeds, 1), options.gusts)
         self.sensors = Sensors(self.parameters, dt, vehicle_generators(seeds, 2))
         self.plant = Plant(self.parameters, dt)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl import rotation
+from sitl.aerodynamics import Aerodynamics
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 
-AIR_DENSITY_KG_M3 = 1.225
 _BATTERY_SAG = 0.06  # loss of full-charge voltage at full load
 _BATTERY_DRAIN_PER_S = 3.0e-5  # of full-charge voltage, per second at full load
 
@@ -62,6 +62,7 @@ class Plant:
         self.mass_kg = parameters.mass_kg.copy()
         x, y = parameters.position_m[:, 0], parameters.position_m[:, 1]
         self._arm = np.stack([-y, x], axis=1)  # roll, pitch torque per N of thrust, (m, 2)
+        self._aerodynamics = Aerodynamics(parameters)
         with np.errstate(divide="ignore"):
             self._share_up = 1 - np.exp(-dt_s / parameters.time_constant_up_s)[:, None]
             self._share_down = 1 - np.exp(-dt_s / parameters.time_constant_down_s)[:, None]
@@ -93,20 +94,25 @@ class Plant:
         # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
         # damping of climb, roll and pitch; the axial speed is that of the hub.
         axial = air[:, 2:3] - state.rate_rad_s[:, :2] @ self._arm.T
-        thrust = state.thrust_n + p.rotor_drag_n_s_per_m * speed * axial
+        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
+        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
 
-        drag = -0.5 * AIR_DENSITY_KG_M3 * p.drag_area_m2 * np.abs(air) * air
+        drag = self._aerodynamics.airframe_drag(air)
         hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * p.position_m[:, 1]
         hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * p.position_m[:, 0]
         push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
         push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
+        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
         force = drag.copy()
-        force[:, 0] += push_x.sum(axis=1)
-        force[:, 1] += push_y.sum(axis=1)
+        force[:, 0] += side_x
+        force[:, 1] += side_y
         force[:, 2] -= thrust.sum(axis=1)
 
         torque = np.empty_like(state.rate_rad_s)
         torque[:, :2] = thrust @ self._arm
+        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
+        torque[:, 0] += p.hub_height_m * side_y + flap_roll
+        torque[:, 1] += flap_pitch - p.hub_height_m * side_x
         reaction = p.torque_per_thrust_m[:, None] * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
         torque[:, 2] = reaction @ p.spin + push_y @ p.position_m[:, 0] - push_x @ p.position_m[:, 1]
         torque += rotation.cross(p.pressure_centre_m, drag)

@@ -1,0 +1,77 @@
+"""Neural-Fly's adaptation: the residual is phi(x, u) a; a follows it by a Kalman filter ([S] 8, 9; [L] 26, 27).
+
+One step in Joseph form, after the continuous law a' = -lam a - P phi^T R^-1 (phi a - y) + P phi^T s:
+
+    a- = a0 + (1 - lam dt) (a - a0) ;  P- = (1 - lam dt)^2 P + Q dt
+    K  = P- phi^T (phi P- phi^T + R/dt)^-1
+    a  = a- - K (phi a- - y) + dt P- phi^T s ;  P = (I - K phi) P- (I - K phi)^T + K (R/dt) K^T
+
+The printed discrete forms have R dt and another sign or scale of s and do not converge to the continuous law; an Euler
+step of the covariance loses definiteness. [S] decays towards 0; we decay towards a0, what the training flights had in
+common, so that a vehicle that starts its flight is already described.
+
+All axes share the basis and, measured in their own scale, the noise: one gain (k,) serves every column of a (k, n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+
+class AdaptationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tuning. Noise R is 1 in the axes' own scale: only ratios matter."""
+
+    follow_s: float = 2.0  # time constant of a basis function of value 1: sqrt(R / Q)
+    forget_per_s: float = 0.0  # lam
+    composite: float = 0.0  # weight of the tracking error s
+
+
+@dataclass(slots=True)
+class AdaptationState:
+    """a (k, n) and P (k, k)."""
+
+    a: np.ndarray
+    covariance: np.ndarray
+
+
+class Adaptation:
+    """Constants for k basis functions and n axes."""
+
+    def __init__(self, prior: np.ndarray, options: AdaptationOptions, spread: np.ndarray | None = None) -> None:
+        """``prior``: a0 (k, n); ``spread``: P at the start (k, k), else that of a steady flight."""
+        self.prior = prior
+        k = len(prior)
+        self._drive = np.eye(k) / options.follow_s**2
+        self._start = np.eye(k) / options.follow_s if spread is None else spread
+        self._identity = np.eye(k)
+        self._options = options
+
+    def start(self) -> AdaptationState:
+        """Nothing learnt in this flight."""
+        return AdaptationState(self.prior.copy(), self._start.copy())
+
+    def step(
+        self,
+        state: AdaptationState,
+        basis: np.ndarray,
+        residual: np.ndarray,
+        dt_s: float,
+        tracking_error: np.ndarray | None = None,
+    ) -> AdaptationState:
+        """One sample: ``basis`` phi (k,), ``residual`` y (n,), ``tracking_error`` s (n,), actual - reference."""
+        o = self._options
+        keep = 1.0 - o.forget_per_s * dt_s
+        a = state.a if keep == 1.0 else self.prior + keep * (state.a - self.prior)
+        covariance = keep * keep * state.covariance + dt_s * self._drive
+        reach = covariance @ basis
+        noise = 1.0 / dt_s
+        gain = reach / (float(basis @ reach) + noise)
+        new = a + gain[:, None] * (residual - basis @ a)
+        if tracking_error is not None and o.composite:
+            new = new + (o.composite * dt_s) * reach[:, None] * tracking_error
+        left = self._identity - gain[:, None] * basis
+        covariance = left @ covariance @ left.T + noise * gain[:, None] * gain
+        return AdaptationState(new, covariance)
