@@ -39,3 +39,7 @@ class JournalError(NffError, OSError):
 
 class FrameError(NffError, ValueError):
     """A frame of a simulator link cannot be understood."""
+
+
+class NetworkError(NffError, ValueError):
+    """A basis network cannot be used."""

@@ -14,14 +14,19 @@ import msgspec
 import numpy as np
 
 from nff_companion.allocation import allocator
-from nff_companion.allocation.plan import Plan, Refusal, make_plan
-from nff_companion.control.law import ControlLaw, Reference, State, saturate, steady_push
+from nff_companion.allocation.adapted import AdaptedMatrix
+from nff_companion.allocation.plan import Plan
+from nff_companion.allocation.planner import Planner, PlannerOptions
+from nff_companion.control.law import Knowledge
+from nff_companion.control.override import OverrideLoop
 from nff_companion.errors import SolverError
-from nff_companion.estimation import sparse
 from nff_companion.estimation.decision import Event
-from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState
+from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState, Motion
+from nff_companion.estimation.full_matrix import FullMatrixOptions
 from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
+from nff_companion.laws import LAWS, LawName
+from nff_companion.learning import phi
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import TelemetryTable, Vehicle
 
@@ -45,13 +50,9 @@ class PipelineOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     allocation: str = "trim"
     estimator: EstimatorOptions = EstimatorOptions()
     flight_phase: FlightPhaseOptions = FlightPhaseOptions()
-    shape_full_at: float = 0.75  # zeta of (24)
-    shape_none_below: float = 0.30  # xi
-    degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
-    resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
-    resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
-    catch_s: float = 2.0  # after a double failure roll and pitch have more right to torque than yaw
-    double_within_s: float = 0.5  # two declarations within this time are a double failure
+    law: LawName = "nff"
+    planner: PlannerOptions = PlannerOptions()
+    full_matrix: FullMatrixOptions = FullMatrixOptions()  # of the law b
     gap_max_s: float = 0.1  # without a sample: the estimate starts anew
     recover_s: float = 0.3  # of good samples, to act again
 
@@ -84,10 +85,13 @@ class Pipeline:
         self.vehicle, self.options = vehicle, options
         self.dt_s = 1.0 / rate_hz
         self.mode = options.mode
-        self.estimator = Estimator(vehicle, self.dt_s, options.estimator)
+        self.law = LAWS[options.law]
+        self.network = phi.for_vehicle(vehicle, options.estimator.network if self.law.learn else "none")
+        self.estimator = self._make_estimator()
         self._phase = FlightPhase(vehicle, options.flight_phase)
-        self._allocate = allocator(options.allocation)
-        self._law = ControlLaw(vehicle)
+        self._planner = Planner(vehicle, allocator(options.allocation), options.planner)
+        self._loop = OverrideLoop(vehicle)
+        self._adapted = AdaptedMatrix(vehicle, options.full_matrix) if self.law.full_matrix else None
         self._speeds = RotorSpeedWatch(vehicle.motors)
         self._speed_state = RotorSpeedState.start(vehicle.motors)
         m, n = vehicle.motors, vehicle.axes
@@ -96,40 +100,35 @@ class Pipeline:
         self._last_s: float | None = None
         self._good_since_s: float | None = None
         self._trouble = "waiting for telemetry"
-        self._plan: Plan | None = None
-        self._planned_for = np.ones(m)
-        self._planned_s = -np.inf
-        self._caught_s = self._declared_s = -np.inf
-        self._catching = False
-        self._low_since_s = np.full(m, np.nan)
-        self._untouched = True  # all motors healthy, the autopilot's own allocation in force
-        self._refusal = ""
         self._blind = ""  # why override cannot close the loop
         self.blocked = ""  # set from outside: why nothing may be sent
         self.hands_off = ""  # set from outside: why override may not close the loop
         self.fault = ""  # why the estimator itself failed; empty again when it has worked for a while
         self._last_output: Output | None = None
-        self._hold: Reference | None = None
-        self._integral = np.zeros(3)
-        self._healthy = make_plan(self._allocate, vehicle.effectiveness, np.ones(m), vehicle.hover)
         self._none = np.zeros(n)
-        self._disturbance = np.zeros(n)
+        self._knowledge = Knowledge.none(n)
         self.bad_samples = 0
-        self.rejected = 0
+
+    def _make_estimator(self) -> Estimator:
+        options = self.options.estimator
+        if not self.law.identify:
+            options = msgspec.structs.replace(options, identify=False)
+        return Estimator(self.vehicle, self.dt_s, options, self.network)
 
     # -- operator -----------------------------------------------------------------------------------------------
 
     def set_mode(self, mode: Mode) -> None:
         """The operator's wish; what is in effect also depends on the telemetry."""
         self.mode = mode
-        self._hold, self._blind = None, ""
+        self._loop.release()
+        self._blind = ""
 
     def retune(self, options: EstimatorOptions) -> bool:
         """Other thresholds, from the next flight on; False in flight, when nothing changes."""
         if self._state is not None:
             return False
         self.options = msgspec.structs.replace(self.options, estimator=options)
-        self.estimator = Estimator(self.vehicle, self.dt_s, options)
+        self.estimator = self._make_estimator()
         return True
 
     def describe_telemetry(self, telemetry: TelemetryTable) -> bool:
@@ -139,7 +138,7 @@ class Pipeline:
         if self._state is not None:
             return False
         self.vehicle = self.vehicle.with_telemetry(telemetry)
-        self.estimator = Estimator(self.vehicle, self.dt_s, self.options.estimator)
+        self.estimator = self._make_estimator()
         return True
 
     def adopt(self, failed: np.ndarray) -> None:
@@ -215,7 +214,8 @@ class Pipeline:
         command = sample.thrust if sample.thrust is not None else self.vehicle.thrust_fraction(sample.output)
         flying = self._phase.step(sample, command)
         if not flying or gap is None:
-            self._state = self._hold = None
+            self._state = None
+            self._loop.release()
             if self._phase.disarmed_after_flight:
                 self._forget()
             self._trouble = "not flying" if not flying else "starting"
@@ -233,6 +233,8 @@ class Pipeline:
                 command,
                 gap,
                 self._stopped(sample, command),
+                self._motion(sample),
+                self._allocation_norm,
             )
         except (SolverError, np.linalg.LinAlgError) as error:
             self._restart()
@@ -242,8 +244,11 @@ class Pipeline:
         self._trouble = "" if time_s - self._good_since_s >= self.options.recover_s else "recovering"
         if not self._trouble:
             self.fault = ""
-        self._disturbance = estimate.disturbance
-        self._replan(time_s, estimate)
+        if self.law.learn:
+            self._knowledge = Knowledge(estimate.disturbance, estimate.push)
+        if self._adapted is not None:
+            self._adapted.step(estimate, gap)
+        self._planner.step(time_s, estimate)
         return self._output(time_s, estimate, estimate.events, override)
 
     def _stopped(self, sample: Sample, command: np.ndarray) -> np.ndarray | None:
@@ -252,6 +257,25 @@ class Pipeline:
         if speed is None or read is None or speed.shape != command.shape or read.shape != command.shape:
             return None
         return self._speeds.step(self._speed_state, sample.time_s, speed, read, command)
+
+    @staticmethod
+    def _motion(sample: Sample) -> Motion | None:
+        """What the basis network looks at; None where it is not known."""
+        velocity, quaternion = sample.velocity_m_s, sample.quaternion
+        if velocity is None or quaternion is None or not math.isfinite(float(velocity.sum() + quaternion.sum())):
+            return None
+        return Motion(velocity, quaternion)
+
+    @property
+    def _allocation_norm(self) -> float:
+        """sigma(A) of the matrix in force."""
+        plan = self._planner.plan or self._planner.healthy
+        return plan.norm if plan is not None else 0.0
+
+    @property
+    def rejected(self) -> int:
+        """Matrices that failed the check so far."""
+        return self._planner.rejected
 
     @property
     def speed_faults(self) -> list[int]:
@@ -265,103 +289,38 @@ class Pipeline:
 
     def _restart(self) -> None:
         self._state = None
-        self._hold = None
+        self._loop.release()
         self._last_s = None
         self._speed_state = RotorSpeedState.start(self.vehicle.motors)
-        self._planned_s = self._caught_s = self._declared_s = -np.inf
-        self._low_since_s[:] = np.nan
+        self._planner.restart()
+        if self._adapted is not None:
+            self._adapted.restart()
 
     def _forget(self) -> None:
         """After landing and disarming the next flight starts without declarations."""
         self._failed = np.zeros_like(self._failed)
-        self._plan, self._planned_for, self._hold = None, np.ones_like(self._planned_for), None
-        self._refusal = ""
-
-    # -- allocation ---------------------------------------------------------------------------------------------
-
-    def _replan(self, time_s: float, estimate: Estimate) -> None:
-        """Solve the allocation again when what is believed of the motors has moved."""
-        o = self.options
-        clear = float(estimate.effectiveness.min()) >= o.shape_full_at and not estimate.failed.any()
-        if clear and self._untouched:
-            return
-        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
-        self._untouched = clear
-        if int(low.sum()) > 1:
-            low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
-        if low.any():
-            self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
-            degraded = low & (time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s)
-        else:
-            self._low_since_s[:] = np.nan
-            degraded = low
-        target = np.ones_like(self._planned_for)
-        if degraded.any():
-            shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
-            target = np.where(degraded, np.maximum(shaped, 0.1), 1.0)
-        target[estimate.failed] = 0.0
-        change = float(np.nan_to_num(np.abs(target - self._planned_for), nan=1.0).max())
-        declared = bool(estimate.events)
-        if declared:
-            if len(estimate.events) > 1 or time_s - self._declared_s < o.double_within_s:
-                self._caught_s = time_s + o.catch_s
-            self._declared_s = time_s
-        catching = time_s < self._caught_s
-        caught = self._catching and not catching
-        self._catching = catching
-        if not (declared or caught) and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
-            self._untouched = self._untouched and change == 0.0
-            return
-        self._planned_s, self._planned_for = time_s, target
-        if (target == 1.0).all():
-            self._plan, self._refusal = None, ""
-            return
-        self._untouched = False
-        plan = make_plan(self._allocate, self.vehicle.effectiveness, target, self.vehicle.hover, catching=catching)
-        if isinstance(plan, Refusal):
-            self.rejected += 1
-            self._refusal = f"no new matrix: {plan.reason}"
-            self._planned_for = np.full_like(target, np.nan)  # try again after the interval
-            if self._plan is not None and self._plan.matrix[estimate.failed].any():
-                self._plan = None  # it drives a motor that is dead: the autopilot's own reduced mixing is better
-        else:
-            self._plan, self._refusal = plan, ""
+        self._planner.forget()
+        self._loop.release()
 
     # -- override -----------------------------------------------------------------------------------------------
 
     def _close_loop(self, sample: Sample, dt_s: float) -> np.ndarray | None:
-        """Motor outputs (m,) by (6.18), None when the state is not known."""
-        plan = self._plan or (self._healthy if isinstance(self._healthy, Plan) else None)
+        """Motor outputs (m,) by the law, None when the loop cannot be closed."""
         if self.hands_off:
-            self._blind, self._hold = self.hands_off, None
+            self._blind = self.hands_off
+            self._loop.release()
             return None
-        if plan is None or sample.quaternion is None or sample.position_m is None or sample.velocity_m_s is None:
-            self._blind = "override needs fresh attitude, position and velocity: allocating instead"
+        plan = self._planner.plan or self._planner.healthy
+        if plan is None:
+            self._blind = "override: no matrix for this airframe: allocating instead"
             return None
-        known = float(sample.quaternion.sum() + sample.position_m.sum() + sample.velocity_m_s.sum())
-        if not math.isfinite(known):
-            self._blind = "override: attitude or position not finite: allocating instead"
+        matrix = plan.matrix if self._adapted is None else self._adapted.allocation(plan.matrix)
+        thrust = self._loop.answer(sample, matrix, self._knowledge, dt_s)
+        self._blind = self._loop.blind
+        if thrust is None:
             return None
-        if self._hold is None:
-            q = sample.quaternion
-            yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
-            self._hold = Reference(sample.position_m.copy(), np.zeros(3), yaw)
-            self._integral = steady_push(q, sample.specific_force_m_s2)
-        reference = self._hold
-        if sample.target_position_m is not None and np.isfinite(sample.target_position_m).all():
-            wanted = sample.target_yaw_rad
-            yaw = reference.yaw_rad if wanted is None or not math.isfinite(wanted) else wanted
-            # Held when the autopilot's targets stop: where it last wanted to be, not where we began.
-            reference = self._hold = Reference(sample.target_position_m, np.zeros(3), yaw)
-        state = State(sample.position_m, sample.velocity_m_s, sample.quaternion, sample.gyro_rad_s)
-        demand, self._integral = self._law.demand(state, reference, self._integral, self._disturbance, dt_s)
-        thrust, _ = saturate(plan.matrix, demand)
         output = self.vehicle.output_for(thrust)
         output[self._failed] = 0.0
-        if not math.isfinite(float(output.sum())):
-            self._blind = "override: outputs not finite: allocating instead"
-            return None
-        self._blind = ""
         return output
 
     # -- result -------------------------------------------------------------------------------------------------
@@ -376,13 +335,13 @@ class Pipeline:
         m = self.vehicle.motors
         if mode == Mode.OVERRIDE and override is None:
             mode = Mode.ALLOCATE
-        plan = self._plan if mode != Mode.OBSERVE else None
+        plan = self._planner.plan if mode != Mode.OBSERVE else None
         shown = np.ones(m) if estimate is None else estimate.effectiveness
-        degraded = (self._planned_for < 1.0) & ~self._failed  # NaN, not yet planned: not degraded
+        degraded = (self._planner.planned_for < 1.0) & ~self._failed  # NaN, not yet planned: not degraded
         self._last_output = Output(
             time_s=time_s,
             mode=mode,
-            reason=self._trouble or self.blocked or self._refusal or self._blind or self._doing(),
+            reason=self._trouble or self.blocked or self._planner.refusal or self._blind or self._doing(),
             flying=estimate is not None,
             failed=self._failed,
             effectiveness=np.where(self._failed & (shown > 0.99), 0.0, shown) if estimate is None else shown,
@@ -392,7 +351,7 @@ class Pipeline:
             plan=plan,
             override=override if mode == Mode.OVERRIDE else None,
             estimate=estimate,
-            unallocated=self._plan.unallocated if self._plan is not None else self._none,
+            unallocated=self._planner.plan.unallocated if self._planner.plan is not None else self._none,
             rejected=self.rejected,
             bad_samples=self.bad_samples,
         )
@@ -401,8 +360,8 @@ class Pipeline:
     def _doing(self) -> str:
         if self.mode == Mode.OBSERVE:
             return "observing"
-        if self._plan is None:
+        if self._planner.plan is None:
             return "all motors healthy"
         failed = [int(i) + 1 for i in np.flatnonzero(self._failed)]
-        given_up = ", yaw given up" if self._plan.released else ""
+        given_up = ", yaw given up" if self._planner.plan.released else ""
         return f"reallocated without motors {failed}{given_up}" if failed else f"reallocated a partial loss{given_up}"

@@ -26,6 +26,8 @@ class Sample:
     velocity_m_s: np.ndarray | None = None  # (3,)
     target_position_m: np.ndarray | None = None  # (3,)
     target_yaw_rad: float | None = None
+    target_velocity_m_s: np.ndarray | None = None  # (3,)
+    target_acceleration_m_s2: np.ndarray | None = None  # (3,)
     landed: bool | None = None  # by the autopilot's word; None: it does not say
     thrust: np.ndarray | None = None  # (m,)
     rotor_speed_rad_s: np.ndarray | None = None  # (m,) NaN: no reading

@@ -34,6 +34,7 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
+    network: str = ""  # basis network: a shipped name or a path; empty: a constant basis
 
 
 class MotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -109,6 +110,7 @@ class Vehicle:
 
     def __init__(self, data: _File) -> None:
         self.name = data.airframe.name
+        self.network = data.airframe.network
         self.mass_kg = data.airframe.mass_kg
         self.inertia_kg_m2 = np.array(data.airframe.inertia_kg_m2)
         self.motor, self.command, self.telemetry, self.log = data.motor, data.command, data.telemetry, data.log
@@ -153,6 +155,11 @@ class Vehicle:
         """B0 (n, m) with each row over the sum of its positive entries: the normalised units of all allocation."""
         return self.effectiveness_si / self.row_scale[:, None]
 
+    @cached_property
+    def normalised_per_acceleration(self) -> np.ndarray:
+        """(n,) what 1 m/s^2 or rad/s^2 is in normalised units."""
+        return np.concatenate([[self.mass_kg], self.inertia_kg_m2]) / self.row_scale
+
     @property
     def hover(self) -> float:
         """h: weight over the thrust of all motors."""
@@ -193,6 +200,7 @@ class Vehicle:
         c, s = round(math.cos(quarter_turns * math.pi / 2)), round(math.sin(quarter_turns * math.pi / 2))
         other.position_m = np.roll(self.position_m @ np.array([[c, s], [-s, c]]), quarter_turns, axis=0)
         other.spin = np.roll(self.spin, quarter_turns)
+        other.network = ""  # trained with the nose where it was
         inertia = self.inertia_kg_m2
         other.inertia_kg_m2 = inertia[[1, 0, 2]] if quarter_turns % 2 else inertia.copy()
         return other

@@ -175,9 +175,7 @@ class Telemetry:
             0,
             *position.path[self._i].tolist(),
             *position.path_velocity[self._i].tolist(),
-            0.0,
-            0.0,
-            0.0,
+            *position.path_acceleration[self._i].tolist(),
             yaw,
             0.0,
         )

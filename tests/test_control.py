@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nff_companion.allocation import allocator, problem_for
-from nff_companion.control.law import ControlLaw, Reference, State, saturate, steady_push
+from nff_companion.control.law import ControlLaw, Integral, Knowledge, Reference, State, saturate, steady_push
 from nff_companion.vehicle import Vehicle
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -19,7 +19,7 @@ def demand(octo: Vehicle, *, position=STILL, velocity=STILL, quaternion=LEVEL, r
     state = State(np.asarray(position, float), np.asarray(velocity, float), quaternion, np.asarray(rate, float))
     wanted = Reference(np.zeros(3), np.zeros(3), yaw)
     slow = np.zeros(4) if disturbance is None else np.asarray(disturbance, float)
-    return ControlLaw(octo).demand(state, wanted, np.zeros(3), slow, 0.005)[0]
+    return ControlLaw(octo).demand(state, wanted, Integral.zero(), Knowledge(slow, np.zeros(2)), 0.005)[0]
 
 
 def test_at_rest_in_place_it_asks_for_the_weight_and_nothing_else(octo: Vehicle) -> None:

@@ -7,8 +7,9 @@ import pytest
 from scipy import optimize, signal
 
 from nff_companion.estimation import hypotheses, sparse
-from nff_companion.estimation.disturbance import CORRELATION_S, MEAN_S, Disturbance, SideDragState, learn_side_drag
+from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
 from nff_companion.estimation.filters import LowPass, lag_share, loss_response
+from nff_companion.estimation.neural_fly import AdaptationOptions
 from nff_companion.estimation.onset import MODEL_ERROR_SHARE, YAW_ERROR_SHARE, OnsetBank
 from nff_companion.estimation.residual import SMOOTHING_S, ResidualFilter
 from nff_companion.vehicle import Vehicle
@@ -245,8 +246,11 @@ def test_the_disturbance_may_not_grow_into_the_place_of_a_motor(octo: Vehicle) -
     state = disturbance.start()
     loss = -octo.acceleration_effectiveness[:, 0] * octo.hover
     for _ in range(20000):
-        state = disturbance.step(state, loss, DT)
-    assert np.abs(state.mean[1:3]).max() < 0.7 * np.abs(loss[1:3]).max()
+        state = disturbance.step(state, state.basis, loss, DT)
+    assert np.abs(disturbance.predict(state, state.basis)[1:3]).max() < 0.7 * np.abs(loss[1:3]).max()
+    for _ in range(round(3.0 / DT)):
+        state = disturbance.step(state, state.basis, np.zeros(4), DT)
+    assert np.abs(disturbance.predict(state, state.basis)[1:3]).max() < 0.2 * np.abs(loss[1:3]).max(), "wound up"
 
 
 def test_a_sudden_loss_shows_monotonically_from_nought_to_one() -> None:
@@ -256,13 +260,14 @@ def test_a_sudden_loss_shows_monotonically_from_nought_to_one() -> None:
     assert np.all(np.diff(response) > -1e-3)
 
 
-def test_disturbance_mean_equals_the_batch_of_exponential_weights(octo: Vehicle, rng: np.random.Generator) -> None:
+def test_a_constant_basis_is_the_mean_with_exponential_weights(octo: Vehicle, rng: np.random.Generator) -> None:
     disturbance = Disturbance(octo)
     y = 0.1 * disturbance.loss_scale * rng.standard_normal((300, 4))  # far from the bound on the mean
     state = disturbance.start()
     for row in y:
-        state = disturbance.step(state, row, DT)
-    share = DT / MEAN_S
+        state = disturbance.step(state, state.basis, row, DT)
+    share = DT / AdaptationOptions().follow_s
     weights = share * (1 - share) ** np.arange(299, -1, -1)
-    np.testing.assert_allclose(state.mean, weights @ y, rtol=1e-9)
-    assert disturbance.step(state, y[0], DT, rate=0.0) is state, "frozen while a failure is weighed"
+    np.testing.assert_allclose(disturbance.predict(state, state.basis), weights @ y, rtol=0.02, atol=1e-3)
+    frozen = disturbance.step(state, state.basis, y[0], DT, rate=0.0)
+    assert frozen.adaptation is state.adaptation, "frozen while a failure is weighed"

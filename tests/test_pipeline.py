@@ -239,8 +239,8 @@ def test_override_holds_the_last_target_when_targets_stop(recorded: list[Sample]
     stopped = dataclasses.replace(recorded[700], position_m=far, velocity_m_s=np.zeros(3), target_position_m=None)
     answer = pipeline.respond(stopped)
     assert answer is not None
-    assert pipeline._hold is not None
-    np.testing.assert_allclose(pipeline._hold.position_m, far)
+    assert pipeline._loop._hold is not None
+    np.testing.assert_allclose(pipeline._loop._hold.position_m, far)
 
 
 def test_override_keeps_its_hands_off_where_it_is_told_to(recorded: list[Sample]) -> None:
@@ -263,7 +263,7 @@ def test_a_blocked_autopilot_gets_nothing_and_the_reason_is_shown(recorded: list
 
 def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
     pipeline, _ = run(recorded[:700])
-    solve, calls = pipeline._allocate, []
+    solve, calls = pipeline._planner._allocate, []
 
     def flaky(problem):
         calls.append(problem)
@@ -271,7 +271,7 @@ def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
             raise SolverError("out of luck")
         return solve(problem)
 
-    pipeline._allocate = flaky
+    pipeline._planner._allocate = flaky
     pipeline.adopt(np.eye(8, dtype=bool)[5])
     outputs = [pipeline.step(s) for s in recorded[700:800]]
     assert outputs[0].rejected == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,11 @@ class Plan:
     released: tuple[int, ...]
     authority: np.ndarray  # (n - 1,)
     unallocated: np.ndarray
+
+    @cached_property
+    def norm(self) -> float:
+        """sigma(A): largest singular value."""
+        return float(np.linalg.norm(self.matrix, 2))
 
 
 @dataclass(frozen=True, kw_only=True)

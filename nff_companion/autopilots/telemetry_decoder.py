@@ -19,6 +19,17 @@ ATTITUDE_AGE_MAX_S = 0.1
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
 _WRAP_USEC = 2**32
+_IGNORES_VELOCITY = (
+    dialect.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
+_IGNORES_ACCELERATION = (
+    dialect.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+    | dialect.POSITION_TARGET_TYPEMASK_FORCE_SET
+)
 _IGNORES_POSITION = (
     dialect.POSITION_TARGET_TYPEMASK_X_IGNORE
     | dialect.POSITION_TARGET_TYPEMASK_Y_IGNORE
@@ -44,6 +55,8 @@ class TelemetryDecoder:
         self._position_s = -np.inf
         self._target: np.ndarray | None = None
         self._target_yaw: float | None = None
+        self._target_velocity: np.ndarray | None = None
+        self._target_acceleration: np.ndarray | None = None
         self._target_s = -np.inf
         self._landed: bool | None = None
         m = vehicle.motors
@@ -118,6 +131,10 @@ class TelemetryDecoder:
         # A field that is marked as ignored is sent as zero: the origin, and north.
         ignored = message.type_mask
         self._target = None if ignored & _IGNORES_POSITION else np.array([message.x, message.y, message.z])
+        self._target_velocity = None if ignored & _IGNORES_VELOCITY else np.array([message.vx, message.vy, message.vz])
+        self._target_acceleration = (
+            None if ignored & _IGNORES_ACCELERATION else np.array([message.afx, message.afy, message.afz])
+        )
         self._target_yaw = None if ignored & dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE else message.yaw
         self._target_s = 1e-3 * message.time_boot_ms
 
@@ -143,6 +160,8 @@ class TelemetryDecoder:
             velocity_m_s=self._velocity if located else None,
             target_position_m=self._target if aimed else None,
             target_yaw_rad=self._target_yaw if aimed else None,
+            target_velocity_m_s=self._target_velocity if aimed else None,
+            target_acceleration_m_s2=self._target_acceleration if aimed else None,
             landed=self._landed,
             rotor_speed_rad_s=self._speed.copy(),
             rotor_speed_time_s=self._speed_s.copy(),

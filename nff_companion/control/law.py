@@ -1,13 +1,14 @@
-"""The control law (6.18): u = (B0 Hhat)^R (-K e + x_d' - f - a), cascaded over position, attitude and rate.
+"""The control law (6.18): u = (B0 Hhat)^R (-K e + x_d' - f - phi a), cascaded over position, attitude and rate.
 
 Position and velocity errors give an acceleration, that a thrust and an attitude, the attitude error a rate, the rate
-error a torque. ``a`` is the slow residual that the estimator learnt (phi = I), so no other integrator is needed.
+error a torque. Position and attitude have integrals; what the estimator knows of the residual is fed forward, so that
+they have little to do.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +19,8 @@ _POSITION_ERROR_MAX_M = 4.0
 _VERTICAL_MAX_M_S2 = 4.0
 _INTEGRAL_PER_S = 0.35
 _INTEGRAL_MAX_M_S2 = 3.0
+_TORQUE_INTEGRAL_PER_S = 0.6  # of the attitude loop's stiffness: about that of the autopilots' rate loops
+_TORQUE_INTEGRAL_MAX_RAD_S2 = 25.0
 _LINK_AND_FILTER_S = 0.03  # delays of the loop besides the motors' lag
 _YAW_SHARE = 0.5  # yaw is slower than roll and pitch
 _RATE_MAX_RAD_S, _YAW_RATE_MAX_RAD_S = 4.0, 1.0
@@ -31,6 +34,37 @@ class Reference:
     position_m: np.ndarray
     velocity_m_s: np.ndarray
     yaw_rad: float
+    acceleration_m_s2: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What is known of the residual and fed forward.
+
+    ``residual`` (n,): phi a, upward specific force m/s^2 and angular accelerations rad/s^2; ``push_m_s2`` (2,):
+    specific force along x and y of the body, as measured: the drag.
+    """
+
+    residual: np.ndarray
+    push_m_s2: np.ndarray
+
+    @staticmethod
+    def none(axes: int) -> Knowledge:
+        """Nothing is known."""
+        return Knowledge(np.zeros(axes), np.zeros(2))
+
+
+@dataclass(frozen=True, slots=True)
+class Integral:
+    """Of the position loop, m/s^2 NED, and of the attitude loop, rad/s^2 body; (3,) each."""
+
+    push_m_s2: np.ndarray
+    turn_rad_s2: np.ndarray
+
+    @staticmethod
+    def zero() -> Integral:
+        """Nothing gathered."""
+        return Integral(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +94,8 @@ class State:
     quaternion: np.ndarray
     rate_rad_s: np.ndarray
 
+
+_TURN_SHARES = np.array([1.0, 1.0, _YAW_SHARE])
 
 Vector = tuple[float, float, float]
 
@@ -116,7 +152,7 @@ def steady_push(quaternion: np.ndarray, specific_force_m_s2: np.ndarray) -> np.n
 
 
 class ControlLaw:
-    """Constants of one airframe; ``step`` takes and returns the integral of the position loop."""
+    """Constants of one airframe; ``demand`` takes and returns the integrals."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -124,31 +160,24 @@ class ControlLaw:
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._scale = 1.0 / vehicle.row_scale
 
-    def demand(
-        self, state: State, reference: Reference, integral: np.ndarray, disturbance: np.ndarray, dt_s: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Demand (n,) in normalised units, and the new integral (3,) m/s^2 NED.
+    def taken_over(self, quaternion: np.ndarray, specific_force_m_s2: np.ndarray, knowledge: Knowledge) -> Integral:
+        """Integrals to begin with; where the drag is fed forward, it is not counted twice."""
+        if knowledge.push_m_s2.any():
+            return Integral.zero()
+        return Integral(steady_push(quaternion, specific_force_m_s2), np.zeros(3))
 
-        ``disturbance`` (n,): slow residual, upward specific force m/s^2 and angular accelerations rad/s^2.
-        """
+    def demand(
+        self, state: State, reference: Reference, integral: Integral, knowledge: Knowledge, dt_s: float
+    ) -> tuple[np.ndarray, Integral]:
+        """Demand (n,) in normalised units, and the new integrals."""
         g = self.gains
         body = _axes(state.quaternion)
-        error = reference.position_m - state.position_m
-        size = math.sqrt(float(error @ error))
-        if size > _POSITION_ERROR_MAX_M:
-            error = error * (_POSITION_ERROR_MAX_M / size)
-        wanted = g.velocity * (g.position * error + reference.velocity_m_s - state.velocity_m_s) + integral
-        if size < _POSITION_ERROR_MAX_M:
-            integral = integral + dt_s * _INTEGRAL_PER_S * g.velocity * g.position * error
-            integral = np.minimum(np.maximum(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
-        north, east, down_wanted = wanted.tolist()
-        down_wanted = _clip(down_wanted, _VERTICAL_MAX_M_S2)
-        lateral = math.hypot(north, east)
-        lateral_max = (GRAVITY_M_S2 - down_wanted) * math.tan(_TILT_MAX_RAD)
-        if lateral > lateral_max:
-            north, east = north * lateral_max / lateral, east * lateral_max / lateral
-        push = (north, east, down_wanted - GRAVITY_M_S2)  # specific force wanted, NED
-        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(disturbance[0])
+        known = knowledge.residual
+        push, gathered = self._push(state, reference, integral.push_m_s2, dt_s)
+        dx, dy = knowledge.push_m_s2.tolist()
+        drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
+        push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
+        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(known[0])
 
         down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
         heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)
@@ -157,14 +186,43 @@ class ControlLaw:
         axis = attitude_error(body, (_cross(right, down), right, down))
         w, j = state.rate_rad_s.tolist(), self._inertia
         slow = _YAW_SHARE
+        turn = integral.turn_rad_s2
+        grown = turn + (dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude) * np.array(axis) * _TURN_SHARES
+        grown = np.minimum(np.maximum(grown, -_TORQUE_INTEGRAL_MAX_RAD_S2), _TORQUE_INTEGRAL_MAX_RAD_S2)
+        i = turn.tolist()
         angular = (
-            g.rate * (_clip(g.attitude * axis[0], _RATE_MAX_RAD_S) - w[0]) - float(disturbance[1]),
-            g.rate * (_clip(g.attitude * axis[1], _RATE_MAX_RAD_S) - w[1]) - float(disturbance[2]),
-            slow * (g.rate * (_clip(slow * g.attitude * axis[2], _YAW_RATE_MAX_RAD_S) - w[2]) - float(disturbance[3])),
+            g.rate * (_clip(g.attitude * axis[0], _RATE_MAX_RAD_S) - w[0]) + i[0] - float(known[1]),
+            g.rate * (_clip(g.attitude * axis[1], _RATE_MAX_RAD_S) - w[1]) + i[1] - float(known[2]),
+            slow * (g.rate * (_clip(slow * g.attitude * axis[2], _YAW_RATE_MAX_RAD_S) - w[2]) + i[2] - float(known[3])),
         )
         gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
         demand = np.array([self._vehicle.mass_kg * specific, *(j[k] * angular[k] + gyroscopic[k] for k in range(3))])
-        return demand * self._scale, integral
+        return demand * self._scale, Integral(gathered, grown)
+
+    def _push(self, state: State, reference: Reference, integral: np.ndarray, dt_s: float) -> tuple[Vector, np.ndarray]:
+        """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
+        g = self.gains
+        error = reference.position_m - state.position_m
+        size = math.sqrt(float(error @ error))
+        if size > _POSITION_ERROR_MAX_M:
+            error = error * (_POSITION_ERROR_MAX_M / size)
+        wanted = g.velocity * (g.position * error + reference.velocity_m_s - state.velocity_m_s) + integral
+        wanted = wanted + reference.acceleration_m_s2
+        if size < _POSITION_ERROR_MAX_M:
+            integral = integral + dt_s * _INTEGRAL_PER_S * g.velocity * g.position * error
+            integral = np.minimum(np.maximum(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
+        north, east, down = wanted.tolist()
+        return (north, east, _clip(down, _VERTICAL_MAX_M_S2) - GRAVITY_M_S2), integral
+
+
+def _within_tilt(push: Vector) -> Vector:
+    """Specific force (3,) NED, its horizontal part cut to the largest tilt."""
+    north, east, vertical = push
+    lateral = math.hypot(north, east)
+    lateral_max = -vertical * math.tan(_TILT_MAX_RAD)
+    if lateral > lateral_max:
+        north, east = north * lateral_max / lateral, east * lateral_max / lateral
+    return north, east, vertical
 
 
 def _room(value: np.ndarray, part: np.ndarray) -> float:

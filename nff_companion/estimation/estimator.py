@@ -11,13 +11,16 @@ from nff_companion.estimation import hypotheses, sparse
 from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Event, Hypothesis
 from nff_companion.estimation.disturbance import (
     CORRELATION_S,
+    Basis,
     Disturbance,
     DisturbanceState,
     SideDragState,
     learn_side_drag,
 )
+from nff_companion.estimation.neural_fly import AdaptationOptions
 from nff_companion.estimation.onset import OnsetBank, OnsetState
 from nff_companion.estimation.residual import ResidualFilter, ResidualState
+from nff_companion.learning.features import features
 from nff_companion.vehicle import GRAVITY_M_S2, YAW, Vehicle
 
 _SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypotheses are compared
@@ -34,6 +37,9 @@ class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     gamma: float = 20.0  # l1 weight, nats
     solve_interval_s: float = 0.01  # of the sparse program; its sums take every sample
     gamma_onset: float = 1.0
+    identify: bool = True  # False: no motor is ever named; the law NF
+    network: str = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
+    adaptation: AdaptationOptions = AdaptationOptions()
     decision: DecisionOptions = DecisionOptions()
 
 
@@ -61,19 +67,31 @@ class Estimate:
     effectiveness: np.ndarray  # eta, 1: healthy; of declared motors what the data still say
     deviation: np.ndarray
     failed: np.ndarray  # bool, latched
-    residual: np.ndarray  # (n,) y minus the slow part, m/s^2 and rad/s^2
-    disturbance: np.ndarray  # (n,)
+    raw: np.ndarray  # (n,) y, without the motors declared, m/s^2 and rad/s^2
+    residual: np.ndarray  # (n,) y - phi a
+    disturbance: np.ndarray  # (n,) phi a
+    features: np.ndarray | None  # (d,) that phi was fed with
+    weight: np.ndarray  # w, thrust fractions as they show in y
+    push: np.ndarray  # (2,) specific force along x and y, m/s^2
     best: Hypothesis | None
     events: list[Event]
 
 
-class Estimator:
-    """Constants of one airframe and sample time."""
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What the autopilot says of the vehicle's state: NED velocity (3,) m/s, body-to-NED quaternion (4,)."""
 
-    def __init__(self, vehicle: Vehicle, dt_s: float, options: EstimatorOptions) -> None:
-        self.vehicle, self.dt_s, self.options = vehicle, dt_s, options
+    velocity_m_s: np.ndarray
+    quaternion: np.ndarray
+
+
+class Estimator:
+    """Constants of one airframe and sample time; ``network`` None: a constant basis."""
+
+    def __init__(self, vehicle: Vehicle, dt_s: float, options: EstimatorOptions, network: Basis | None = None) -> None:
+        self.vehicle, self.dt_s, self.options, self.network = vehicle, dt_s, options, network
         self._filter = ResidualFilter(vehicle, dt_s)
-        self._disturbance = Disturbance(vehicle)
+        self._disturbance = Disturbance(vehicle, network, options.adaptation, bounded=options.identify)
         self._onset = OnsetBank(
             vehicle.axes,
             vehicle.motors,
@@ -120,17 +138,25 @@ class Estimator:
         command: np.ndarray,
         dt_s: float,
         stopped: np.ndarray | None = None,
+        motion: Motion | None = None,
+        allocation_norm: float = 0.0,
     ) -> tuple[EstimatorState, Estimate]:
         """One sample; ``command`` (m,) thrust fractions asked of the motors, ``stopped`` (m,) bool those that stand
-        still by their rotor speeds. Raises SolverError."""
+        still by their rotor speeds; ``motion`` None: not known, phi stays what it was. Raises SolverError."""
         o = self.options
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
         side_drag = self._filter.side_drag(filtered)
         matrix = self._filter.effectiveness(side_drag, state.side_drag.share)
         decision = state.decision
         nominal = filtered.weight if not decision.failed.any() else np.where(decision.failed, 0.0, filtered.weight)
-        raw = filtered.measured - matrix @ nominal
-        residual = raw - state.disturbance.mean
+        commanded = matrix @ nominal
+        raw = filtered.measured - commanded
+        seen = None
+        if motion is not None:
+            seen = features(motion.velocity_m_s, motion.quaternion, filtered.push, filtered.rate, commanded)
+        basis = self._disturbance.basis(state.disturbance, seen)
+        expected = self._disturbance.predict(state.disturbance, basis)
+        residual = raw - expected
         weight = self._disturbance.weight(state.disturbance)
 
         regressor = matrix * filtered.weight
@@ -138,7 +164,7 @@ class Estimator:
         onset = self._onset.push(state.onset, filtered.weight, residual)
         best = direct = None
         hint = () if stopped is None else tuple(int(i) for i in np.flatnonzero(stopped & ~decision.failed))
-        if hint or float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2:
+        if o.identify and (hint or float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2):
             lateral = float(np.hypot(filtered.lateral[0], filtered.lateral[1]))
             yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
             sums = self._onset.sums(onset, matrix, self._disturbance.variance(state.disturbance), yaw_error)
@@ -150,14 +176,16 @@ class Estimator:
         if time_s - solved_s >= o.solve_interval_s - 1e-9:
             solved_s = time_s
             effectiveness, deviation = self._effectiveness(information, decision.failed)
-        decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
+        events: list[Event] = []
+        if o.identify:
+            decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(len(command)), self._onset.start()
         rate = self._learning_rate(time_s, state.started_s, suspicious_since)
-        explained = self._explained(effectiveness, decision.failed)
+        explained = self._explained(effectiveness, decision.failed) if o.identify else None
         rest = raw if explained is None else raw - matrix @ (filtered.weight * explained)
-        disturbance = self._disturbance.step(state.disturbance, rest, dt_s, rate)
+        disturbance = self._disturbance.step(state.disturbance, basis, rest, dt_s, rate, allocation_norm)
         learnt = state.side_drag
         if rate == 1.0:
             learnt = learn_side_drag(
@@ -176,7 +204,19 @@ class Estimator:
             effectiveness,
             deviation,
         )
-        return new, Estimate(effectiveness, deviation, decision.failed, residual, disturbance.mean, best, events)
+        return new, Estimate(
+            effectiveness,
+            deviation,
+            decision.failed,
+            raw,
+            residual,
+            expected,
+            seen,
+            filtered.weight,
+            filtered.lateral,
+            best,
+            events,
+        )
 
     def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""

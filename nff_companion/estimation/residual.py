@@ -41,7 +41,9 @@ class ResidualState:
     shown: np.ndarray  # thrust fraction after the gyro filter
     weight: np.ndarray  # w, after the whole chain
     measured: np.ndarray  # (n,) accelerations after the smoothing
-    lateral: np.ndarray  # (2,) specific force along x and y, m/s^2, smoothed
+    lateral: np.ndarray  # (2,) specific force along x and y, m/s^2, smoothed slowly
+    push: np.ndarray  # (2,) the same, after the smoothing of ``measured``
+    rate: np.ndarray  # (3,) body rates after the same smoothing
     dt_s: float
 
 
@@ -83,6 +85,8 @@ class ResidualFilter:
             command.copy(),
             measured,
             specific_force[:2],
+            specific_force[:2],
+            gyro,
             self.dt_s,
         )
 
@@ -130,4 +134,8 @@ class ResidualFilter:
         weight = state.weight + self._smooth * (0.5 * (shown + state.shown) - state.weight)
         measured = state.measured + self._smooth * (acceleration - state.measured)
         lateral = state.lateral + self._lateral * (specific_force[:2] - state.lateral)
-        return ResidualState(gyro, up, command, lagged, low_pass, sensor, shown, weight, measured, lateral, dt_s)
+        push = state.push + self._smooth * (specific_force[:2] - state.push)
+        rate = state.rate + self._smooth * (middle - state.rate)
+        return ResidualState(
+            gyro, up, command, lagged, low_pass, sensor, shown, weight, measured, lateral, push, rate, dt_s
+        )

@@ -16,7 +16,7 @@ import numpy as np
 from nff_companion.errors import MissingExtra
 from nff_companion.estimation.decision import DecisionState, Event
 from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance
-from nff_companion.estimation.estimator import Estimate
+from nff_companion.estimation.estimator import Estimate, Motion
 from nff_companion.estimation.residual import ResidualFilter, ResidualState
 from nff_companion.pipeline import Pipeline, PipelineOptions
 from nff_companion.vehicle import Vehicle
@@ -101,6 +101,8 @@ class ImmEstimator:
         command: np.ndarray,
         dt_s: float,
         stopped: np.ndarray | None = None,
+        motion: Motion | None = None,
+        allocation_norm: float = 0.0,
     ) -> tuple[ImmState, Estimate]:
         """One sample."""
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
@@ -127,7 +129,19 @@ class ImmEstimator:
         eta = 1.0 - np.where(failed, 1.0, probability[1:])
         new = ImmState(filtered, state.decision, bank, since, best)
         slow = np.asarray(bank.x, float).ravel()
-        return new, Estimate(eta, np.full(len(eta), 0.1), failed, residual, slow, None, events)
+        return new, Estimate(
+            effectiveness=eta,
+            deviation=np.full(len(eta), 0.1),
+            failed=failed,
+            raw=residual,
+            residual=residual - slow,
+            disturbance=slow,
+            features=None,
+            weight=filtered.weight,
+            push=filtered.lateral,
+            best=None,
+            events=events,
+        )
 
 
 def imm_pipeline(vehicle: Vehicle, rate_hz: float, options: PipelineOptions) -> Pipeline:

@@ -103,27 +103,7 @@ class VirtualFlight:
             )
 
     def _sample(self, index: int) -> Sample:
-        fleet = self.fleet
-        measured, autopilot = fleet.sensors.measured, fleet.autopilot
-        speed = None
-        if self._rotor_speeds:
-            p = fleet.parameters
-            speed = np.sqrt(fleet.state.thrust_n[index] / p.max_thrust_n[index]) * p.max_speed_rad_s
-        sample = Sample(
-            time_s=fleet.time_s,
-            gyro_rad_s=measured.gyro_rad_s[index],
-            specific_force_m_s2=measured.specific_force_m_s2[index],
-            output=autopilot.output[index],
-            armed=bool(autopilot.armed[index]),
-            quaternion=measured.quaternion[index],
-            position_m=measured.position_m[index],
-            velocity_m_s=measured.velocity_m_s[index],
-            target_position_m=autopilot.position.path[index].copy(),
-            target_yaw_rad=float(rotation.yaw_of(autopilot.attitude.target[index])),
-            rotor_speed_rad_s=speed,
-            rotor_speed_time_s=None if speed is None else np.full(len(speed), fleet.time_s),
-        )
-        return self._alter(sample)
+        return self._alter(sample_of(self.fleet, index, rotor_speeds=self._rotor_speeds))
 
     def step(self) -> None:
         """One autopilot cycle of the fleet, and what the companions do in it."""
@@ -169,3 +149,28 @@ class VirtualFlight:
                 armed=bool(autopilot.armed[index]),
             )
         autopilot.port_changed()
+
+
+def sample_of(fleet: Fleet, index: int, *, rotor_speeds: bool = False) -> Sample:
+    """What the autopilot of vehicle ``index`` would send now."""
+    measured, autopilot = fleet.sensors.measured, fleet.autopilot
+    speed = None
+    if rotor_speeds:
+        p = fleet.parameters
+        speed = np.sqrt(fleet.state.thrust_n[index] / p.max_thrust_n[index]) * p.max_speed_rad_s
+    return Sample(
+        time_s=fleet.time_s,
+        gyro_rad_s=measured.gyro_rad_s[index],
+        specific_force_m_s2=measured.specific_force_m_s2[index],
+        output=autopilot.output[index],
+        armed=bool(autopilot.armed[index]),
+        quaternion=measured.quaternion[index],
+        position_m=measured.position_m[index],
+        velocity_m_s=measured.velocity_m_s[index],
+        target_position_m=autopilot.position.path[index].copy(),
+        target_velocity_m_s=autopilot.position.path_velocity[index].copy(),
+        target_acceleration_m_s2=autopilot.position.path_acceleration[index].copy(),
+        target_yaw_rad=float(rotation.yaw_of(autopilot.attitude.target[index])),
+        rotor_speed_rad_s=speed,
+        rotor_speed_time_s=None if speed is None else np.full(len(speed), fleet.time_s),
+    )

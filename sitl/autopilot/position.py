@@ -36,7 +36,7 @@ class PositionControl:
         self.speed_z = np.full(vehicles, 1.5)
         self.path = np.zeros((vehicles, 3))
         self.path_velocity = np.zeros((vehicles, 3))
-        self._path_acceleration = np.zeros((vehicles, 3))
+        self.path_acceleration = np.zeros((vehicles, 3))
         self.hover_throttle = hover_throttle.copy()
         self._velocity = Pid(_VELOCITY, vehicles, dt_s)
         self._velocity_z = Pid(_VELOCITY_Z, vehicles, dt_s)
@@ -51,7 +51,7 @@ class PositionControl:
             return
         self.goal[mask] = self.path[mask] = position[mask]
         self.path_velocity[mask] = velocity[mask]
-        self._path_acceleration[mask] = 0.0
+        self.path_acceleration[mask] = 0.0
         for loop in (self._velocity, self._velocity_z, self._acceleration_z):
             loop.reset(mask)
         self._throttle[mask] = throttle
@@ -72,8 +72,8 @@ class PositionControl:
         asked[:, :2] = limit_length(asked[:, :2], _ACCELERATION_XY)
         asked[:, 2] = np.clip(asked[:, 2], -_ACCELERATION_Z, _ACCELERATION_Z)
         step = 4.0 * _JERK * self._dt
-        self._path_acceleration = self._path_acceleration + np.clip(asked - self._path_acceleration, -step, step)
-        self.path_velocity = self.path_velocity + self._dt * self._path_acceleration
+        self.path_acceleration = self.path_acceleration + np.clip(asked - self.path_acceleration, -step, step)
+        self.path_velocity = self.path_velocity + self._dt * self.path_acceleration
         self.path = self.path + self._dt * self.path_velocity
 
     def step(
@@ -95,13 +95,13 @@ class PositionControl:
         target += self.path_velocity
 
         acceleration = self._velocity.step(target[:, :2], velocity[:, :2], self._limited_xy)
-        acceleration = acceleration + self._path_acceleration[:, :2]
+        acceleration = acceleration + self.path_acceleration[:, :2]
         limited = limit_length(acceleration, GRAVITY_M_S2 * math.tan(_LEAN_MAX_RAD))
         self._limited_xy = np.repeat(np.any(limited != acceleration, axis=1)[:, None], 2, axis=1)
 
         none = np.zeros((len(distance), 1), bool)
         up_target = -self._velocity_z.step(target[:, 2:], velocity[:, 2:], none)
-        up_target = up_target - self._path_acceleration[:, 2:]
+        up_target = up_target - self.path_acceleration[:, 2:]
         throttle = (
             self._acceleration_z.step(up_target, acceleration_up[:, None], throttle_limited[:, None])[:, 0]
             + self.hover_throttle

@@ -1,0 +1,155 @@
+"""``nff train`` and ``nff score``."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+import typer
+
+from nff_companion.cli.output import console, print_json
+from nff_companion.errors import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from nff_companion.learning.dataset import Dataset, Score
+    from nff_companion.vehicle import Vehicle
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+Logs = Annotated[list[Path] | None, typer.Option("--log", help="Flight log: .ulg, .bin or .tlog; several.")]
+Airframe = Annotated[str, typer.Option(help="Airframe by name or TOML file.")]
+_SEGMENT_S = 60.0  # so much of a log is one condition
+_HELD_OUT = 4  # every so many-th condition of logs is kept for the score
+_TEST_FLIGHTS = 12
+
+
+def train(
+    airframe: Airframe,
+    out: Annotated[Path, typer.Option(help="The network, .npz.")],
+    log: Logs = None,
+    simulate: Annotated[int, typer.Option(help="So many simulated flights of one minute.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the training; the same seed gives the same network.")] = 1,
+    iterations: Annotated[int, typer.Option(help="Steps of the training.")] = 3000,
+    functions: Annotated[int, typer.Option(help="Basis functions k.")] = 6,
+    adversary: Annotated[float, typer.Option(help="Weight of the adversary; 0: none.")] = 0.02,
+    workers: Annotated[int, typer.Option(help="Processes that simulate; 0: one a core.")] = 0,
+    json: Json = False,
+) -> None:
+    """Learn the basis of an airframe from flights without failures. Interrupted, it goes on where it was."""
+    from rich.progress import Progress
+
+    from nff_companion import vehicle as vehicle_model
+    from nff_companion.learning.daiml import Trainer, TrainingOptions
+    from nff_companion.learning.phi import for_vehicle
+    from nff_companion.learning.score import score
+
+    if bool(log) == bool(simulate):
+        raise ConfigError("give either --log FILE (several) or --simulate N")
+    if out.suffix != ".npz":
+        raise ConfigError(f"--out {out}: the suffix must be .npz")
+    began = time.monotonic()
+    vehicle = vehicle_model.load(airframe)
+    if log:
+        known, unseen = _from_logs(vehicle, log)
+    else:
+        from nff_companion.trials.training import simulate as fly
+
+        console.print(f"flying {simulate} flights to train on and {_TEST_FLIGHTS} to score", highlight=False)
+        known = fly(airframe, simulate, seed=seed - 1, workers=workers or None)
+        unseen = fly(airframe, _TEST_FLIGHTS, test=True, seed=seed - 1, workers=workers or None)
+    flown_s = time.monotonic() - began
+    options = TrainingOptions(seed=seed, iterations=iterations, functions=functions, adversary=adversary)
+    trainer = Trainer(known, options)
+    with Progress(console=console) as bar:
+        task = bar.add_task("training", total=iterations)
+        trainer.run(
+            out.with_suffix(".checkpoint"),
+            out.with_suffix(".csv"),
+            lambda iteration, loss: bar.update(task, completed=iteration, description=f"training, loss {loss:.4f}"),
+        )
+    command = shlex.join(["nff", *sys.argv[1:]])
+    trained = trainer.basis({"airframe": vehicle.name, "command": command})
+    result = score(vehicle, trained, unseen)
+    trained.metadata["score"] = msgspec.to_builtins(result)
+    trained.save(out)
+    for_vehicle(vehicle, str(out))  # what flight would refuse, training reports at once
+    document: dict[str, Any] = {
+        "network": str(out),
+        "seconds": round(time.monotonic() - began, 1),
+        "seconds_of_flights": round(flown_s, 1),
+        **trained.metadata,
+    }
+    if json:
+        print_json(document)
+        return
+    _print_score(result)
+    console.print(f"{out}: {known.minutes:.0f} min of flight, {document['seconds']:.0f} s", highlight=False)
+
+
+def score_command(
+    airframe: Airframe,
+    network: Annotated[str, typer.Option(help="airframe: what its file names; a shipped name or an .npz file.")] = (
+        "airframe"
+    ),
+    log: Logs = None,
+    simulate: Annotated[int, typer.Option(help="So many simulated flights of one minute.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the simulated flights.")] = 2,
+    json: Json = False,
+) -> None:
+    """One-step-ahead prediction of a network on flights that it was not trained on, beside a constant phi."""
+    from nff_companion import vehicle as vehicle_model
+    from nff_companion.learning.dataset import Dataset
+    from nff_companion.learning.phi import for_vehicle
+    from nff_companion.learning.score import score
+
+    if bool(log) == bool(simulate):
+        raise ConfigError("give either --log FILE (several) or --simulate N")
+    vehicle = vehicle_model.load(airframe)
+    basis = for_vehicle(vehicle, network)
+    if basis is None:
+        raise ConfigError(f"{airframe} names no network: give --network")
+    if log:
+        known, unseen = _from_logs(vehicle, log)
+        data = Dataset(known.conditions + unseen.conditions)
+    else:
+        from nff_companion.trials.training import simulate as fly
+
+        data = fly(airframe, simulate, test=True, seed=seed)
+    result = score(vehicle, basis, data)
+    if json:
+        print_json(msgspec.to_builtins(result))
+        return
+    _print_score(result)
+
+
+def _from_logs(vehicle: Vehicle, logs: list[Path]) -> tuple[Dataset, Dataset]:
+    """Conditions to train on and conditions to score on. Raises LogError."""
+    from nff_companion.learning.dataset import Dataset, record, split
+    from nff_companion.replay.run import rate_of, read
+
+    conditions = []
+    for path in logs:
+        _, rows = read(path, vehicle)
+        samples = [sample for _, sample in rows]
+        conditions += split(record(vehicle, rate_of(samples), samples, path.name), _SEGMENT_S)
+    unseen = conditions[_HELD_OUT - 1 :: _HELD_OUT] or conditions[-1:]
+    known = [c for c in conditions if not any(c is other for other in unseen)]
+    if len(known) < 2:
+        minutes = sum(len(c.features) for c in conditions) / 3000.0
+        raise LogError(f"the logs hold {minutes:.1f} min of usable flight: at least three minutes are needed")
+    return Dataset(known), Dataset(unseen)
+
+
+def _print_score(result: Score) -> None:
+    from nff_companion.vehicle import AXES
+
+    for index, axis in enumerate(AXES):
+        console.print(
+            f"{axis:7} explained {result.explained[index]:.3f} (constant phi {result.constant_explained[index]:.3f}),"
+            f" error {result.error_over_constant[index]:.2f} of the constant's,"
+            f" {result.error_rms[index]:.3f} of {result.residual_rms[index]:.3f} SI rms",
+            highlight=False,
+        )

@@ -1,0 +1,62 @@
+"""Closing the loop from a telemetry sample to motor thrusts: what to follow, with which matrix, and why not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nff_companion.control.law import ControlLaw, Integral, Knowledge, Reference, State, saturate
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import Vehicle
+
+
+class OverrideLoop:
+    """Holds the reference and the integrals; ``blind`` says why the loop cannot be closed, empty when it is."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._law = ControlLaw(vehicle)
+        self._hold: Reference | None = None
+        self._integral = Integral.zero()
+        self.blind = ""
+
+    def release(self) -> None:
+        """What was followed is forgotten: the next sample starts anew."""
+        self._hold = None
+
+    def answer(self, sample: Sample, matrix: np.ndarray, knowledge: Knowledge, dt_s: float) -> np.ndarray | None:
+        """Motor thrusts (m,) by (6.18), None when the state is not known."""
+        q, position, velocity = sample.quaternion, sample.position_m, sample.velocity_m_s
+        if q is None or position is None or velocity is None:
+            self.blind = "override needs fresh attitude, position and velocity: allocating instead"
+            return None
+        if not math.isfinite(float(q.sum() + position.sum() + velocity.sum())):
+            self.blind = "override: attitude or position not finite: allocating instead"
+            return None
+        if self._hold is None:
+            yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
+            self._hold = Reference(position.copy(), np.zeros(3), yaw)
+            self._integral = self._law.taken_over(q, sample.specific_force_m_s2, knowledge)
+        state = State(position, velocity, q, sample.gyro_rad_s)
+        reference = self._follow(sample, self._hold)
+        demand, self._integral = self._law.demand(state, reference, self._integral, knowledge, dt_s)
+        thrust, _ = saturate(matrix, demand)
+        if not math.isfinite(float(thrust.sum())):
+            self.blind = "override: outputs not finite: allocating instead"
+            return None
+        self.blind = ""
+        return thrust
+
+    def _follow(self, sample: Sample, hold: Reference) -> Reference:
+        """The autopilot's target. When it stops: held where it last wanted to be, not where we began."""
+        target = sample.target_position_m
+        if target is None or not np.isfinite(target).all():
+            return hold
+        wanted = sample.target_yaw_rad
+        yaw = hold.yaw_rad if wanted is None or not math.isfinite(wanted) else wanted
+        self._hold = Reference(target, np.zeros(3), yaw)
+        return Reference(target, _finite(sample.target_velocity_m_s), yaw, _finite(sample.target_acceleration_m_s2))
+
+
+def _finite(value: np.ndarray | None) -> np.ndarray:
+    return np.zeros(3) if value is None or not np.isfinite(value).all() else value

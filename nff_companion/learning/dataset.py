@@ -1,0 +1,119 @@
+"""Flights without failures, as the network is trained on: inputs and residuals of each condition, at 50 Hz.
+
+A condition is what stays the same during one flight: this vehicle, this payload, this wind. Inputs and residuals come
+out of the companion's own pipeline, so that training and flight see the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from nff_companion.errors import LogError
+from nff_companion.estimation.estimator import EstimatorOptions
+from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.telemetry import Sample
+from nff_companion.vehicle import Vehicle
+
+RATE_HZ = 50.0
+_SETTLE_S = 2.0  # of each flight left out: filters and take-off
+_ROWS_MIN = 400
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One flight: ``features`` (L, d) and ``residual`` (L, n) in SI."""
+
+    name: str
+    features: np.ndarray
+    residual: np.ndarray
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Conditions, and what identifies them."""
+
+    conditions: list[Condition]
+
+    @property
+    def sha256(self) -> str:
+        """Hash over all rows, in single precision."""
+        digest = hashlib.sha256()
+        for condition in self.conditions:
+            digest.update(np.ascontiguousarray(condition.features, np.float32).tobytes())
+            digest.update(np.ascontiguousarray(condition.residual, np.float32).tobytes())
+        return digest.hexdigest()
+
+    @property
+    def minutes(self) -> float:
+        """Flight time."""
+        return sum(len(c.features) for c in self.conditions) / RATE_HZ / 60.0
+
+
+class Recorder:
+    """Takes the samples of one flight; ``condition`` is what has come of them."""
+
+    def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
+        estimator = EstimatorOptions(network="none")
+        self._pipeline = Pipeline(vehicle, rate_hz, PipelineOptions(mode=Mode.OBSERVE, law="nf", estimator=estimator))
+        self._features: list[np.ndarray] = []
+        self._residual: list[np.ndarray] = []
+        self._due_s = -np.inf
+        self._flying_since_s: float | None = None
+
+    def add(self, sample: Sample) -> None:
+        """One telemetry sample."""
+        output = self._pipeline.step(sample)
+        estimate = output.estimate
+        if estimate is None:
+            self._flying_since_s = None
+            return
+        if self._flying_since_s is None:
+            self._flying_since_s = self._due_s = output.time_s
+        if output.time_s - self._flying_since_s < _SETTLE_S or output.time_s < self._due_s - 1e-9:
+            return
+        self._due_s += max(1.0 / RATE_HZ, output.time_s - self._due_s - 1.0 / RATE_HZ)
+        if estimate.features is not None:
+            self._features.append(estimate.features)
+            self._residual.append(estimate.raw)
+
+    def condition(self, name: str) -> Condition:
+        """The flight so far. Raises LogError when it is too short, or lacks attitude and velocity."""
+        if len(self._features) < _ROWS_MIN:
+            raise LogError(
+                f"{name} has {len(self._features)} rows at {RATE_HZ:.0f} Hz of flight with attitude and velocity;"
+                f" {_ROWS_MIN} are needed: log ATTITUDE_QUATERNION and LOCAL_POSITION_NED, or vehicle_attitude and"
+                " vehicle_local_position"
+            )
+        return Condition(name, np.array(self._features), np.array(self._residual))
+
+
+def record(vehicle: Vehicle, rate_hz: float, samples: Iterable[Sample], name: str) -> Condition:
+    """One flight. Raises LogError."""
+    recorder = Recorder(vehicle, rate_hz)
+    for sample in samples:
+        recorder.add(sample)
+    return recorder.condition(name)
+
+
+def split(condition: Condition, seconds: float) -> list[Condition]:
+    """A long flight as several conditions: the wind changes."""
+    rows = max(round(seconds * RATE_HZ), _ROWS_MIN)
+    parts = max(len(condition.features) // rows, 1)
+    pieces = zip(np.array_split(condition.features, parts), np.array_split(condition.residual, parts), strict=True)
+    return [Condition(f"{condition.name}#{k + 1}", f, r) for k, (f, r) in enumerate(pieces)]
+
+
+class Score(msgspec.Struct, frozen=True):
+    """One-step-ahead prediction on flights that were not trained on; one value an axis."""
+
+    explained: list[float]  # share of the residual's variance explained by phi a
+    constant_explained: list[float]  # by a constant phi with the same adaptation
+    error_over_constant: list[float]  # root mean square of y - phi a over that of the constant phi
+    residual_rms: list[float]  # of y about its mean, SI
+    error_rms: list[float]  # of y - phi a, SI
+    minutes: float
