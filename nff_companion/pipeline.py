@@ -104,7 +104,7 @@ class Pipeline:
         self.blocked = ""  # set from outside: why nothing may be sent
         self.hands_off = ""  # set from outside: why override may not close the loop
         self.fault = ""  # why the estimator itself failed; empty again when it has worked for a while
-        self._last_output: Output | None = None
+        self.last: Output | None = None
         self._none = np.zeros(n)
         self._knowledge = Knowledge.none(n)
         self.bad_samples = 0
@@ -202,9 +202,9 @@ class Pipeline:
             return self._bad(self._last_s or 0.0, reason)
         time_s = sample.time_s
         gap = None if self._last_s is None else time_s - self._last_s
-        if gap is not None and self._last_output is not None and -_REORDERED_S < gap < 0.2 * self.dt_s:
+        if gap is not None and self.last is not None and -_REORDERED_S < gap < 0.2 * self.dt_s:
             self.bad_samples += 1
-            return replace(self._last_output, events=[], override=None, bad_samples=self.bad_samples)
+            return replace(self.last, events=[], override=None, bad_samples=self.bad_samples)
         self._last_s = time_s
         if gap is not None and not 0.0 < gap <= self.options.gap_max_s:
             self._restart()
@@ -273,6 +273,11 @@ class Pipeline:
         return plan.norm if plan is not None else 0.0
 
     @property
+    def attitude_desired(self) -> np.ndarray | None:
+        """(3, 3) body to NED that the override's law wanted last; None when it does not close the loop."""
+        return None if self._loop.desired is None else np.array(self._loop.desired).T
+
+    @property
     def rejected(self) -> int:
         """Matrices that failed the check so far."""
         return self._planner.rejected
@@ -315,7 +320,8 @@ class Pipeline:
             self._blind = "override: no matrix for this airframe: allocating instead"
             return None
         matrix = plan.matrix if self._adapted is None else self._adapted.allocation(plan.matrix)
-        thrust = self._loop.answer(sample, matrix, self._knowledge, dt_s)
+        left = None if self._planner.plan is None else plan.effectiveness
+        thrust = self._loop.answer(sample, matrix, left, self._knowledge, dt_s)
         self._blind = self._loop.blind
         if thrust is None:
             return None
@@ -338,7 +344,7 @@ class Pipeline:
         plan = self._planner.plan if mode != Mode.OBSERVE else None
         shown = np.ones(m) if estimate is None else estimate.effectiveness
         degraded = (self._planner.planned_for < 1.0) & ~self._failed  # NaN, not yet planned: not degraded
-        self._last_output = Output(
+        self.last = Output(
             time_s=time_s,
             mode=mode,
             reason=self._trouble or self.blocked or self._planner.refusal or self._blind or self._doing(),
@@ -355,7 +361,7 @@ class Pipeline:
             rejected=self.rejected,
             bad_samples=self.bad_samples,
         )
-        return self._last_output
+        return self.last
 
     def _doing(self) -> str:
         if self.mode == Mode.OBSERVE:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from nff_companion import vehicle
 from nff_companion.allocation import METHODS, allocator, authority, problem_for
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.allocation.problem import normalised_columns
 from nff_companion.allocation.verify import fault_of
+from nff_companion.allocation.within_bounds import constrain, desaturate
 from nff_companion.errors import AllocationInfeasible, ConfigError
 from nff_companion.trials.allocation_bench import measure
+from nff_companion.vehicle import Vehicle
 
 # Torque without saturation at hover, octo-X, motor 1 dead: hover fraction -> method -> roll, pitch, yaw.
 TABLE = {
@@ -147,3 +150,63 @@ def test_unknown_method_and_singular_columns_are_clear_errors(octo: vehicle.Vehi
     problem = problem_for(octo.effectiveness, np.ones(8), octo.hover)
     with pytest.raises(AllocationInfeasible):
         normalised_columns(problem, np.ones((8, 4)))
+
+
+def test_constrained_allocation_serves_roll_and_pitch_first_and_yaw_last(
+    octo: Vehicle, rng: np.random.Generator
+) -> None:
+    problem = problem_for(octo.effectiveness, np.array([0.0, 1, 1, 1, 1, 1, 1, 1]), octo.hover)
+    matrix, b = allocator("trim")(problem), problem.effectiveness
+    small = np.array([0.4, 0.02, -0.02, 0.02])
+    thrust, served = constrain(matrix, b, small)
+    np.testing.assert_allclose(b @ thrust, small, atol=1e-9)
+    assert served is small
+    for _ in range(500):
+        wild = rng.uniform([0.0, -1, -1, -1], [1.0, 1, 1, 1])
+        thrust, served = constrain(matrix, b, wild)
+        assert thrust.min() >= 0.0
+        assert thrust.max() <= 1.0
+        assert thrust[0] == 0.0, "the dead motor is driven"
+        np.testing.assert_allclose(b @ thrust, served, atol=1e-9)
+    thrust, served = constrain(matrix, b, np.array([0.5, 0.35, 0.2, 1.0]))
+    np.testing.assert_allclose(served[1:3], [0.35, 0.2], atol=0.02)
+    assert served[0] == pytest.approx(0.5, abs=0.05)
+    assert 0.0 < served[3] < 0.9
+
+
+def test_constrained_allocation_is_the_minimum_of_its_cost(octo: Vehicle, rng: np.random.Generator) -> None:
+    problem = problem_for(octo.effectiveness, np.ones(8), octo.hover)
+    matrix, b = allocator("trim")(problem), problem.effectiveness
+    omega = np.array([0.2, 1.0, 1.0, 0.03])
+    for _ in range(20):
+        wild = rng.uniform([0.0, -1, -1, -1], [1.0, 1, 1, 1])
+        thrust, _ = constrain(matrix, b, wild)
+        best = lsq_linear(omega[:, None] * b, omega * wild, bounds=(0.0, 1.0))
+        cost = 0.5 * float(((omega * (b @ thrust - wild)) ** 2).sum())
+        assert cost <= best.cost + 1e-5
+
+
+def test_an_axis_given_up_does_not_pull_at_the_others(octo: Vehicle) -> None:
+    problem = problem_for(octo.effectiveness, np.array([0.0, 1, 0.0, 1, 1, 1, 1, 1]), octo.hover, released=(3,))
+    matrix, b = allocator("trim")(problem), problem.effectiveness
+    with_yaw, _ = constrain(matrix, b, np.array([0.7, 0.2, 0.1, 0.9]))
+    without, _ = constrain(matrix, b, np.array([0.7, 0.2, 0.1, 0.0]))
+    np.testing.assert_allclose(with_yaw, without)
+
+
+def test_desaturation_cuts_yaw_first_and_stays_within_bounds(octo: Vehicle, rng: np.random.Generator) -> None:
+    matrix = allocator("trim")(problem_for(octo.effectiveness, np.ones(8), octo.hover))
+    small = np.array([0.4, 0.1, -0.1, 0.1])
+    thrust, served = desaturate(matrix, small)
+    np.testing.assert_allclose(octo.effectiveness @ thrust, small, atol=1e-9)
+    np.testing.assert_allclose(served, small)
+    for _ in range(500):
+        wild = rng.uniform([0.0, -1, -1, -1], [1.0, 1, 1, 1])
+        thrust, served = desaturate(matrix, wild)
+        assert thrust.min() >= 0.0
+        assert thrust.max() <= 1.0
+        assert abs(served[3]) <= abs(wild[3]) + 1e-12
+    thrust, served = desaturate(matrix, np.array([0.4, 0.3, 0.0, 1.0]))
+    assert served[1] == pytest.approx(0.3)
+    assert abs(served[3]) < 0.9
+    assert (octo.effectiveness @ thrust)[1] == pytest.approx(0.3, abs=1e-6)

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nff_companion.allocation import allocator, problem_for
-from nff_companion.control.law import ControlLaw, Integral, Knowledge, Reference, State, saturate, steady_push
+from nff_companion.control.law import ControlLaw, Knowledge, Memory, Reference, State, steady_push
 from nff_companion.vehicle import Vehicle
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -19,7 +18,7 @@ def demand(octo: Vehicle, *, position=STILL, velocity=STILL, quaternion=LEVEL, r
     state = State(np.asarray(position, float), np.asarray(velocity, float), quaternion, np.asarray(rate, float))
     wanted = Reference(np.zeros(3), np.zeros(3), yaw)
     slow = np.zeros(4) if disturbance is None else np.asarray(disturbance, float)
-    return ControlLaw(octo).demand(state, wanted, Integral.zero(), Knowledge(slow, np.zeros(2)), 0.005)[0]
+    return ControlLaw(octo).demand(state, wanted, Memory.empty(), Knowledge(slow, np.zeros(2)), 0.005)[0]
 
 
 def test_at_rest_in_place_it_asks_for_the_weight_and_nothing_else(octo: Vehicle) -> None:
@@ -58,24 +57,6 @@ def test_a_tilted_vehicle_is_turned_back_whatever_its_heading(octo: Vehicle) -> 
         answer = demand(octo, quaternion=np.array([w, x, turn[3] * tilt[1], z]), yaw=float(yaw))
         assert answer[1] < -0.01
         assert abs(answer[2]) < 0.3 * abs(answer[1])
-
-
-def test_saturation_cuts_yaw_first_and_stays_within_bounds(octo: Vehicle, rng: np.random.Generator) -> None:
-    matrix = allocator("trim")(problem_for(octo.effectiveness, np.ones(8), octo.hover))
-    small = np.array([0.4, 0.1, -0.1, 0.1])
-    thrust, served = saturate(matrix, small)
-    np.testing.assert_allclose(octo.effectiveness @ thrust, small, atol=1e-9)
-    np.testing.assert_allclose(served, small)
-    for _ in range(500):
-        wild = rng.uniform([0.0, -1, -1, -1], [1.0, 1, 1, 1])
-        thrust, served = saturate(matrix, wild)
-        assert thrust.min() >= 0.0
-        assert thrust.max() <= 1.0
-        assert abs(served[3]) <= abs(wild[3]) + 1e-12
-    thrust, served = saturate(matrix, np.array([0.4, 0.3, 0.0, 1.0]))
-    assert served[1] == pytest.approx(0.3)
-    assert abs(served[3]) < 0.9
-    assert (octo.effectiveness @ thrust)[1] == pytest.approx(0.3, abs=1e-6)
 
 
 def test_the_push_of_a_leaning_hover_is_where_it_leans(octo: Vehicle) -> None:

@@ -21,9 +21,11 @@ _AUTHORITY_FLOOR = 0.01  # below this nothing is left to fly with, yaw given up 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """``matrix`` (m, n) verified; ``released`` axes given up; ``unallocated`` (n,) demand not met at hover."""
+    """``matrix`` A (m, n) verified, right inverse of ``effectiveness`` B (n, m) of the motors left;
+    ``released`` axes given up; ``unallocated`` (n,) demand not met at hover."""
 
     matrix: np.ndarray
+    effectiveness: np.ndarray
     released: tuple[int, ...]
     authority: np.ndarray  # (n - 1,)
     unallocated: np.ndarray
@@ -63,7 +65,13 @@ def make_plan(
         demand = np.zeros(nominal.shape[0])
         demand[0] = hover
         given = problem.effectiveness @ np.clip(matrix @ demand, 0.0, 1.0)
-        plan = Plan(matrix=matrix, released=released, authority=left, unallocated=demand - given)
+        plan = Plan(
+            matrix=matrix,
+            effectiveness=problem.effectiveness,
+            released=released,
+            authority=left,
+            unallocated=demand - given,
+        )
         if least >= (_AUTHORITY_FLOOR if released else enough):
             return plan
         if least >= ATTITUDE_AUTHORITY_MIN:

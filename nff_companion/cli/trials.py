@@ -26,6 +26,8 @@ def survey(
     model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 10.0,
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 4.0,
     speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
+    forward: Annotated[bool, typer.Option("--forward", help="Legs of up to 12 m/s in all directions.")] = False,
+    network: Annotated[str, typer.Option(help="Basis: airframe, none, a shipped name or an .npz file.")] = "airframe",
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     detector: Annotated[str, typer.Option(help="sparse, or the peer imm.")] = "sparse",
     personality: Annotated[
@@ -51,6 +53,8 @@ def survey(
         personality=personality,
         compare=compare,
         rotor_speeds=rotor_speeds,
+        forward=forward,
+        network=network,
         thrust_to_weight=thrust_to_weight or None,
         seeds=seeds,
         rate_hz=rate,
@@ -84,7 +88,7 @@ def survey(
 
 
 def replay(
-    logs: Annotated[list[Path], typer.Argument(help="ULog or tlog files.")],
+    logs: Annotated[list[Path], typer.Argument(help="ULog (.ulg), ArduPilot (.bin) or MAVLink (.tlog) logs.")],
     airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")],
     json: Json = False,
 ) -> None:

@@ -8,10 +8,11 @@ they have little to do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nff_companion.estimation.filters import lag_share
 from nff_companion.vehicle import GRAVITY_M_S2, Vehicle
 
 _TILT_MAX_RAD = math.radians(30.0)
@@ -19,12 +20,20 @@ _POSITION_ERROR_MAX_M = 4.0
 _VERTICAL_MAX_M_S2 = 4.0
 _INTEGRAL_PER_S = 0.35
 _INTEGRAL_MAX_M_S2 = 3.0
-_TORQUE_INTEGRAL_PER_S = 0.6  # of the attitude loop's stiffness: about that of the autopilots' rate loops
+_TORQUE_INTEGRAL_PER_S = 1.5  # of the attitude loop's stiffness: about that of the autopilots' rate loops
+_LEAD_SHARE = 0.9  # of the motors' lag, given back by the derivative of the gyro
+_LEAD_S = 0.0053  # smoothing of that derivative, 30 Hz
+_TURNING_S = 0.04  # smoothing of the rate at which the attitude wanted turns
+_TURNING_MAX_RAD_S = 2.0
 _TORQUE_INTEGRAL_MAX_RAD_S2 = 25.0
 _LINK_AND_FILTER_S = 0.03  # delays of the loop besides the motors' lag
 _YAW_SHARE = 0.5  # yaw is slower than roll and pitch
 _RATE_MAX_RAD_S, _YAW_RATE_MAX_RAD_S = 4.0, 1.0
 _MIN_THRUST_SHARE = 0.15  # of hover: the vehicle stays controllable while it falls
+
+
+Vector = tuple[float, float, float]
+Axes = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +64,31 @@ class Knowledge:
 
 
 @dataclass(frozen=True, slots=True)
-class Integral:
-    """Of the position loop, m/s^2 NED, and of the attitude loop, rad/s^2 body; (3,) each."""
+class Memory:
+    """What the law remembers between samples; (3,) each.
+
+    Integrals of the position loop, m/s^2 NED, and of the attitude loop, rad/s^2 body; the last body rates and their
+    derivative; the body axes wanted last (NED) and the rate at which they turn.
+    """
 
     push_m_s2: np.ndarray
     turn_rad_s2: np.ndarray
+    rate_rad_s: Vector | None = None
+    acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)
+    desired: Axes | None = None
+    turning_rad_s: Vector = (0.0, 0.0, 0.0)
+
+    def held_back(self, before: Memory, limited: np.ndarray) -> Memory:
+        """With the attitude integrals of axes that are ``limited`` (3,) bool by saturation grown no further."""
+        if not limited.any():
+            return self
+        grown = limited & (np.abs(self.turn_rad_s2) > np.abs(before.turn_rad_s2))
+        return replace(self, turn_rad_s2=np.where(grown, before.turn_rad_s2, self.turn_rad_s2))
 
     @staticmethod
-    def zero() -> Integral:
+    def empty() -> Memory:
         """Nothing gathered."""
-        return Integral(np.zeros(3), np.zeros(3))
+        return Memory(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +99,17 @@ class Gains:
     velocity: float
     attitude: float
     rate: float
+    lead_s: float
 
     @staticmethod
     def of(vehicle: Vehicle) -> Gains:
-        """Rate loop with about 60 degrees of phase left; each outer loop slower than the one inside."""
-        rate = 0.6 / (vehicle.motor.time_constant_up_s + _LINK_AND_FILTER_S)
-        attitude = rate / 2.5
+        """Sensitivity of the attitude loop at most about 1.75 with the lag and 30 ms of delay; each outer loop slower
+        than the one inside."""
+        lag = vehicle.motor.time_constant_up_s
+        rate = 0.9 / (lag + _LINK_AND_FILTER_S)
+        attitude = rate / 2.4
         velocity = attitude / 2.5
-        return Gains(velocity / 2.5, velocity, attitude, rate)
+        return Gains(velocity / 2.5, velocity, attitude, rate, _LEAD_SHARE * lag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +124,8 @@ class State:
 
 _TURN_SHARES = np.array([1.0, 1.0, _YAW_SHARE])
 
-Vector = tuple[float, float, float]
 
-
-def _axes(q: np.ndarray) -> tuple[Vector, Vector, Vector]:
+def _axes(q: np.ndarray) -> Axes:
     """The body's axes in NED (columns of the rotation matrix) of the quaternion (w, x, y, z)."""
     w, x, y, z = q.tolist()
     return (
@@ -126,7 +151,7 @@ def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
 
 
-def attitude_error(body: tuple[Vector, Vector, Vector], desired: tuple[Vector, Vector, Vector]) -> Vector:
+def attitude_error(body: Axes, desired: Axes) -> Vector:
     """Rotation vector in the body frame, rad, from the ``body`` axes to the ``desired`` ones."""
     sine_axis = [0.0, 0.0, 0.0]
     trace = 0.0
@@ -152,7 +177,7 @@ def steady_push(quaternion: np.ndarray, specific_force_m_s2: np.ndarray) -> np.n
 
 
 class ControlLaw:
-    """Constants of one airframe; ``demand`` takes and returns the integrals."""
+    """Constants of one airframe; ``demand`` takes and returns its memory."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -160,44 +185,73 @@ class ControlLaw:
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._scale = 1.0 / vehicle.row_scale
 
-    def taken_over(self, quaternion: np.ndarray, specific_force_m_s2: np.ndarray, knowledge: Knowledge) -> Integral:
-        """Integrals to begin with; where the drag is fed forward, it is not counted twice."""
+    def taken_over(self, quaternion: np.ndarray, specific_force_m_s2: np.ndarray, knowledge: Knowledge) -> Memory:
+        """Memory to begin with; where the drag is fed forward, it is not counted twice."""
         if knowledge.push_m_s2.any():
-            return Integral.zero()
-        return Integral(steady_push(quaternion, specific_force_m_s2), np.zeros(3))
+            return Memory.empty()
+        return Memory(steady_push(quaternion, specific_force_m_s2), np.zeros(3))
 
     def demand(
-        self, state: State, reference: Reference, integral: Integral, knowledge: Knowledge, dt_s: float
-    ) -> tuple[np.ndarray, Integral]:
-        """Demand (n,) in normalised units, and the new integrals."""
-        g = self.gains
+        self, state: State, reference: Reference, memory: Memory, knowledge: Knowledge, dt_s: float
+    ) -> tuple[np.ndarray, Memory]:
+        """Demand (n,) in normalised units, and the new memory."""
         body = _axes(state.quaternion)
-        known = knowledge.residual
-        push, gathered = self._push(state, reference, integral.push_m_s2, dt_s)
+        push, gathered = self._push(state, reference, memory.push_m_s2, dt_s)
         dx, dy = knowledge.push_m_s2.tolist()
         drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
         push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
-        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(known[0])
+        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(knowledge.residual[0])
 
         down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
         heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)
         right = _cross(down, heading)
         right = _scaled(right, 1.0 / math.sqrt(_dot(right, right)))
-        axis = attitude_error(body, (_cross(right, down), right, down))
+        desired = (_cross(right, down), right, down)
+        turning = self._turning(memory, desired, dt_s)
         w, j = state.rate_rad_s.tolist(), self._inertia
-        slow = _YAW_SHARE
-        turn = integral.turn_rad_s2
-        grown = turn + (dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude) * np.array(axis) * _TURN_SHARES
-        grown = np.minimum(np.maximum(grown, -_TORQUE_INTEGRAL_MAX_RAD_S2), _TORQUE_INTEGRAL_MAX_RAD_S2)
-        i = turn.tolist()
-        angular = (
-            g.rate * (_clip(g.attitude * axis[0], _RATE_MAX_RAD_S) - w[0]) + i[0] - float(known[1]),
-            g.rate * (_clip(g.attitude * axis[1], _RATE_MAX_RAD_S) - w[1]) + i[1] - float(known[2]),
-            slow * (g.rate * (_clip(slow * g.attitude * axis[2], _YAW_RATE_MAX_RAD_S) - w[2]) + i[2] - float(known[3])),
-        )
+        angular, grown, acceleration = self._turn(attitude_error(body, desired), turning, w, memory, knowledge, dt_s)
         gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
         demand = np.array([self._vehicle.mass_kg * specific, *(j[k] * angular[k] + gyroscopic[k] for k in range(3))])
-        return demand * self._scale, Integral(gathered, grown)
+        after = Memory(gathered, grown, (w[0], w[1], w[2]), acceleration, desired, turning)
+        return demand * self._scale, after
+
+    def _turn(
+        self,
+        axis: Vector,
+        turning: Vector,
+        w: list[float],
+        memory: Memory,
+        knowledge: Knowledge,
+        dt_s: float,
+    ) -> tuple[list[float], np.ndarray, Vector]:
+        """Angular acceleration asked for, the integral (3,) of the attitude loop, and that of the gyro."""
+        g = self.gains
+        share = lag_share(dt_s, _LEAD_S)
+        before = memory.rate_rad_s or (w[0], w[1], w[2])
+        old = memory.acceleration_rad_s2
+        acceleration = tuple(old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3))
+        integral, known = memory.turn_rad_s2.tolist(), knowledge.residual.tolist()
+        out = []
+        for k in range(3):
+            slow, most = (_YAW_SHARE, _YAW_RATE_MAX_RAD_S) if k == 2 else (1.0, _RATE_MAX_RAD_S)
+            rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
+            back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
+            out.append(slow * (back + integral[k] - known[k + 1]))
+        grown = (
+            memory.turn_rad_s2 + (dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude) * np.array(axis) * _TURN_SHARES
+        )
+        grown = np.minimum(np.maximum(grown, -_TORQUE_INTEGRAL_MAX_RAD_S2), _TORQUE_INTEGRAL_MAX_RAD_S2)
+        return out, grown, (acceleration[0], acceleration[1], acceleration[2])
+
+    @staticmethod
+    def _turning(memory: Memory, desired: Axes, dt_s: float) -> Vector:
+        """Rate (3,) rad/s, body, at which the attitude wanted turns, smoothed."""
+        if memory.desired is None:
+            return 0.0, 0.0, 0.0
+        step = attitude_error(memory.desired, desired)
+        share, old = lag_share(dt_s, _TURNING_S), memory.turning_rad_s
+        new = [old[k] + share * (_clip(step[k] / dt_s, _TURNING_MAX_RAD_S) - old[k]) for k in range(3)]
+        return new[0], new[1], new[2]
 
     def _push(self, state: State, reference: Reference, integral: np.ndarray, dt_s: float) -> tuple[Vector, np.ndarray]:
         """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
@@ -223,37 +277,3 @@ def _within_tilt(push: Vector) -> Vector:
     if lateral > lateral_max:
         north, east = north * lateral_max / lateral, east * lateral_max / lateral
     return north, east, vertical
-
-
-def _room(value: np.ndarray, part: np.ndarray) -> float:
-    """Largest share of ``part`` in 0..1 that ``value`` + share * part keeps within 0..1."""
-    limit = np.where(part > 0.0, 1.0 - value, value)
-    size = np.maximum(np.abs(part), 1e-12)
-    return max(min(float((limit / size).min()), 1.0), 0.0)
-
-
-def saturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Motor thrusts (m,) in 0..1 for ``demand`` (n,): yaw is cut first, then thrust moves, then roll and pitch.
-
-    Returns the thrusts and the demand that was served.
-    """
-    out = matrix @ demand
-    if out.min() >= 0.0 and out.max() <= 1.0:
-        return out, demand
-    served = demand.copy()
-    attitude = matrix[:, 1:3] @ served[1:3]
-    span = float(attitude.max() - attitude.min())
-    if span > 1.0:
-        served[1:3] /= span
-        attitude = attitude / span
-    collective = matrix[:, 0]
-    base = collective * served[0] + attitude
-    served[3] *= _room(base, matrix[:, 3] * served[3])
-    out = base + matrix[:, 3] * served[3]
-    largest = max(float(collective.max()), 1e-6)
-    if out.max() > 1.0:
-        served[0] -= (float(out.max()) - 1.0) / largest
-    elif out.min() < 0.0:
-        served[0] += min(-float(out.min()) / largest, 0.3 * float(demand[0]))
-    out = collective * served[0] + attitude + matrix[:, 3] * served[3]
-    return np.minimum(np.maximum(out, 0.0), 1.0), served

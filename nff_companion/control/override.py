@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 
-from nff_companion.control.law import ControlLaw, Integral, Knowledge, Reference, State, saturate
+from nff_companion.allocation.within_bounds import constrain, desaturate
+from nff_companion.control.law import Axes, ControlLaw, Knowledge, Memory, Reference, State
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import Vehicle
+
+_SERVED = 1e-6  # of an axis' torque: less than this missing is no saturation
 
 
 class OverrideLoop:
@@ -17,15 +20,23 @@ class OverrideLoop:
     def __init__(self, vehicle: Vehicle) -> None:
         self._law = ControlLaw(vehicle)
         self._hold: Reference | None = None
-        self._integral = Integral.zero()
+        self._memory = Memory.empty()
         self.blind = ""
 
     def release(self) -> None:
         """What was followed is forgotten: the next sample starts anew."""
-        self._hold = None
+        self._hold, self._memory = None, Memory.empty()
 
-    def answer(self, sample: Sample, matrix: np.ndarray, knowledge: Knowledge, dt_s: float) -> np.ndarray | None:
-        """Motor thrusts (m,) by (6.18), None when the state is not known."""
+    @property
+    def desired(self) -> Axes | None:
+        """Body axes wanted in the last answer, NED."""
+        return self._memory.desired
+
+    def answer(
+        self, sample: Sample, matrix: np.ndarray, left: np.ndarray | None, knowledge: Knowledge, dt_s: float
+    ) -> np.ndarray | None:
+        """Motor thrusts (m,) by (6.18), None when the state is not known. ``matrix`` A (m, n); ``left`` B (n, m) of the
+        motors left, None while all are believed to work."""
         q, position, velocity = sample.quaternion, sample.position_m, sample.velocity_m_s
         if q is None or position is None or velocity is None:
             self.blind = "override needs fresh attitude, position and velocity: allocating instead"
@@ -36,11 +47,12 @@ class OverrideLoop:
         if self._hold is None:
             yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
             self._hold = Reference(position.copy(), np.zeros(3), yaw)
-            self._integral = self._law.taken_over(q, sample.specific_force_m_s2, knowledge)
+            self._memory = self._law.taken_over(q, sample.specific_force_m_s2, knowledge)
         state = State(position, velocity, q, sample.gyro_rad_s)
         reference = self._follow(sample, self._hold)
-        demand, self._integral = self._law.demand(state, reference, self._integral, knowledge, dt_s)
-        thrust, _ = saturate(matrix, demand)
+        demand, memory = self._law.demand(state, reference, self._memory, knowledge, dt_s)
+        thrust, served = desaturate(matrix, demand) if left is None else constrain(matrix, left, demand)
+        self._memory = memory.held_back(self._memory, np.abs(served - demand)[1:] > _SERVED)
         if not math.isfinite(float(thrust.sum())):
             self.blind = "override: outputs not finite: allocating instead"
             return None

@@ -11,7 +11,7 @@ import numpy as np
 from nff_companion.errors import LogError
 from nff_companion.estimation.decision import Event
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
-from nff_companion.replay import tlog, ulog
+from nff_companion.replay import dataflash, tlog, ulog
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import Vehicle
 
@@ -28,11 +28,14 @@ def read(path: Path, vehicle: Vehicle) -> tuple[float, list[tuple[float, Sample]
     if suffix in (".ulg", ".ulog"):
         rows = list(ulog.samples(path, vehicle))
         first = rows[0][0] if rows else 0.0
+    elif suffix == ".bin":
+        rows = list(dataflash.samples(path, vehicle))
+        first = rows[0][0] if rows else 0.0
     elif suffix == ".tlog":
         rows = list(tlog.samples(path, vehicle))
         first = tlog.first_stamp(path)
     else:
-        raise LogError(f"{path}: suffix {suffix!r} is unknown; .ulg and .tlog can be read")
+        raise LogError(f"{path}: suffix {suffix!r} is unknown; .ulg, .bin and .tlog can be read")
     if len(rows) < _SAMPLES_MIN:
         raise LogError(
             f"{path} has {len(rows)} inertial samples; {_SAMPLES_MIN} are needed (HIGHRES_IMU, sensor_combined)"

@@ -56,7 +56,9 @@ def samples(path: Path, vehicle: Vehicle) -> Iterator[tuple[float, Sample]]:
     command = _columns(tables[mapping.topic], mapping.field, vehicle.motors, path)
     newest = _newest(_time(tables[mapping.topic]), time_s)
     armed = _armed(tables, time_s, mapping, command, newest)
-    positions = _positions(tables, time_s)
+    positions = _positions(tables, time_s, ("x", "y", "z"))
+    velocities = _positions(tables, time_s, ("vx", "vy", "vz"))
+    attitudes = _attitudes(tables, time_s)
     for k in range(len(time_s)):
         if newest[k] < 0:
             continue
@@ -71,7 +73,9 @@ def samples(path: Path, vehicle: Vehicle) -> Iterator[tuple[float, Sample]]:
                 specific_force_m_s2=force[k],
                 output=output,
                 armed=bool(armed[k]),
+                quaternion=None if attitudes is None else attitudes[k],
                 position_m=None if positions is None else positions[k],
+                velocity_m_s=None if velocities is None else velocities[k],
                 thrust=thrust,
             ),
         )
@@ -93,9 +97,18 @@ def _armed(
     return flag[np.maximum(index, 0)] & (index >= 0)
 
 
-def _positions(tables: dict[str, Any], time_s: np.ndarray) -> np.ndarray | None:
+def _positions(tables: dict[str, Any], time_s: np.ndarray, axes: tuple[str, ...]) -> np.ndarray | None:
     table = tables.get("vehicle_local_position")
     if table is None or len(table["timestamp"]) == 0:
         return None
     at = _time(table)
-    return np.stack([np.interp(time_s, at, table[axis]) for axis in ("x", "y", "z")], axis=1)
+    return np.stack([np.interp(time_s, at, table[axis]) for axis in axes], axis=1)
+
+
+def _attitudes(tables: dict[str, Any], time_s: np.ndarray) -> np.ndarray | None:
+    """Newest quaternion (w, x, y, z) at each time."""
+    table = tables.get("vehicle_attitude")
+    if table is None or len(table["timestamp"]) == 0 or "q[0]" not in table:
+        return None
+    values = np.stack([np.asarray(table[f"q[{k}]"], float) for k in range(4)], axis=1)
+    return values[np.maximum(_newest(_time(table), time_s), 0)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sitl.fleet import Fleet
 
-DURATION_S = 150.0
+SPEEDS_M_S = (4.5, 7.5, 10.0, 12.0)
 HEIGHT_M = 40.0
 _LEG_S = (3.0, 9.0)
 _CLIMB_M_S = 1.5

@@ -8,14 +8,15 @@ import multiprocessing
 import os
 import statistics
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from nff_companion import vehicle as vehicle_model
 from nff_companion.estimation.decision import Event
+from nff_companion.estimation.estimator import EstimatorOptions
 from nff_companion.pipeline import Mode, PipelineOptions
-from nff_companion.trials import healthy
+from nff_companion.trials import forward, healthy
 from nff_companion.trials.comparison import rms_ratio
 from nff_companion.trials.detectors import pipeline_factory
 from nff_companion.trials.virtual import Companion, VirtualFlight
@@ -27,8 +28,16 @@ from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 
 FAULT_AT_S = 5.0
 FLY_ON_S = 20.0
+FORWARD_FAULT_S = (10.0, 20.0)  # in forward flight, drawn from the seed and the motors
 HEIGHT_M = 10.0
 TURBULENCE_SHARE = 0.25
+
+
+class Script(Protocol):
+    """Sets the goals of a fleet over time."""
+
+    def step(self, time_s: float) -> None:
+        """Goals for ``time_s``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +57,8 @@ class SurveyOptions:
     personality: str = "plain"
     compare: bool = False
     rotor_speeds: bool = False
+    forward: bool = False  # legs of up to 12 m/s instead of hover, or of the healthy script
+    network: str = "airframe"
 
 
 @dataclass(slots=True)
@@ -96,6 +107,8 @@ def _described(options: SurveyOptions) -> dict[str, Any]:
         "detector": options.detector,
         "personality": options.personality,
         "rotor_speeds": options.rotor_speeds,
+        "forward": options.forward,
+        "network": options.network,
     }
 
 
@@ -128,16 +141,17 @@ def _build(
         model_error=options.model_error,
         wind_m_s=options.wind_m_s,
         turbulence_m_s=TURBULENCE_SHARE * options.wind_m_s,
-        height_m=HEIGHT_M,
+        height_m=forward.HEIGHT_M if options.forward else HEIGHT_M,
         **fleet,
     )
     workshop = None
     if options.personality == "ardupilot":
         model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
         workshop = Workshop.prepare(model, PipelineOptions().allocation, card)
+    chosen = PipelineOptions(mode=options.mode, estimator=EstimatorOptions(network=options.network))
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
-        {index: PipelineOptions(mode=options.mode) for index in companions},
+        dict.fromkeys(companions, chosen),
         airframe=options.airframe,
         thrust_to_weight=options.thrust_to_weight,
         rate_hz=options.rate_hz,
@@ -152,8 +166,9 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
     """First half of the fleet with companion, second half the same vehicles without."""
     count = len(flights)
     both = flights * 2
+    at = [_fault_s(options, motors, seed) for motors, seed in both]
     faults = [
-        Fault(vehicle=index, motor=motor, start_s=FAULT_AT_S)
+        Fault(vehicle=index, motor=motor, start_s=at[index])
         for index, (motors, _) in enumerate(both)
         for motor in motors
     ]
@@ -163,7 +178,8 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
         if options.speed_m_s:
             fleet.autopilot.position.goal_velocity[:, 0] = options.speed_m_s
             fleet.autopilot.position.goal_velocity[:, 1] = 0.0
-        records = _record_until(flight, FAULT_AT_S, FAULT_AT_S + FLY_ON_S)
+        script = forward.Script(fleet, [seed for _, seed in both], forward.SPEEDS_M_S) if options.forward else None
+        records = _record_until(flight, min(at), max(at) + FLY_ON_S, script)
     survived = ~fleet.state.crashed
     results = []
     for index, (motors, seed) in enumerate(flights):
@@ -177,15 +193,19 @@ def _fly_failures(options: SurveyOptions, flights: list[tuple[tuple[int, ...], i
                 "baseline_survived": bool(survived[count + index]),
                 "survived": bool(survived[index]),
                 "named": named,
-                "delay_s": round(max(times) - FAULT_AT_S, 4) if set(motors) <= set(named) else None,
+                "delay_s": round(max(times) - at[index], 4) if set(motors) <= set(named) else None,
                 "max_tilt_deg": round(records[index].max_tilt_deg, 2),
                 "max_position_error_m": round(records[index].max_position_error_m, 3),
                 "baseline_max_tilt_deg": round(records[count + index].max_tilt_deg, 2),
                 "baseline_max_position_error_m": round(records[count + index].max_position_error_m, 3),
-                "false_alarms": sum(time_s < FAULT_AT_S for time_s, _ in events),
+                "false_alarms": sum(time_s < at[index] for time_s, _ in events),
             }
         )
     return results
+
+
+def _fault_s(options: SurveyOptions, motors: tuple[int, ...], seed: int) -> float:
+    return float(np.random.default_rng([seed, *motors]).uniform(*FORWARD_FAULT_S)) if options.forward else FAULT_AT_S
 
 
 def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], int]]) -> list[dict[str, Any]]:
@@ -193,8 +213,11 @@ def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], in
     count = len(flights)
     seeds = [seed for _, seed in flights] * (2 if options.compare else 1)
     with temporary_card() as card:
-        flight = _build(options, seeds, [], list(range(count)), card, gusts=healthy.gusts(seeds))
-        script = healthy.Script(flight.fleet)
+        gusts = None if options.forward else healthy.gusts(seeds)
+        flight = _build(options, seeds, [], list(range(count)), card, gusts=gusts)
+        script: Script = (
+            forward.Script(flight.fleet, seeds, forward.SPEEDS_M_S) if options.forward else healthy.Script(flight.fleet)
+        )
         records = _record_until(flight, 0.0, healthy.DURATION_S, script)
     results = []
     for index, (_, seed) in enumerate(flights):
@@ -223,9 +246,7 @@ def _declarations(companion: Companion | WireCompanion) -> list[tuple[float, Eve
     return [(time_s, event) for time_s, event in companion.events if event.declared]
 
 
-def _record_until(
-    flight: VirtualFlight, from_s: float, until_s: float, script: healthy.Script | None = None
-) -> list[_Record]:
+def _record_until(flight: VirtualFlight, from_s: float, until_s: float, script: Script | None = None) -> list[_Record]:
     """Fly on; worst tilt and distance from the intended path of each vehicle while it is up."""
     fleet = flight.fleet
     tilt = np.zeros(fleet.vehicles)

@@ -1,0 +1,81 @@
+"""Motor thrusts within 0..1 for one demand, where u = A demand leaves the bounds.
+
+While all motors are believed to work, ``desaturate`` cuts the demand along the columns of A, as autopilots do: it asks
+nothing of a motor that A would not, so that a motor that has just died costs what A gives it and no more. Once the
+motors left are known, ``constrain`` finds the best that they can do:
+
+    min |Omega (B u - demand)|^2 + eps |u - A demand|^2,   0 <= u <= 1
+
+a box quadratic program, solved exactly (daqp). Omega puts roll and pitch before thrust, and thrust before yaw: heading
+is what a vehicle can do without for longest. (With a wrong B it is worse than ``desaturate``: it
+makes up for bounds with motors that may be dead.)
+"""
+
+from __future__ import annotations
+
+import daqp
+import numpy as np
+
+from nff_companion.vehicle import PITCH, ROLL, THRUST, YAW
+
+_PRIORITY = {THRUST: 0.2, ROLL: 1.0, PITCH: 1.0, YAW: 0.03}  # errors of normalised demand
+_CLOSE_TO_A = 1e-5  # eps: decides among the u that serve equally well
+
+
+def constrain(matrix: np.ndarray, effectiveness: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Thrusts u (m,) for ``demand`` (n,), and the demand that they serve.
+
+    ``matrix`` A (m, n), ``effectiveness`` B (n, m) that A is a right inverse of; motors with a zero column are not
+    driven; an axis given up (zero column of A) does not count.
+    """
+    out = matrix @ demand
+    if out.min() >= 0.0 and out.max() <= 1.0:
+        return out, demand
+    used = effectiveness.any(axis=0)
+    wanted = matrix.any(axis=0)
+    omega = np.array([_PRIORITY[axis] for axis in range(len(demand))]) * wanted
+    scaled = effectiveness[:, used] * omega[:, None]
+    count = int(used.sum())
+    hessian = scaled.T @ scaled + _CLOSE_TO_A * np.eye(count)
+    linear = -scaled.T @ (omega * demand) - _CLOSE_TO_A * out[used]
+    part, _, flag, _ = daqp.solve(hessian, linear, np.zeros((0, count)), np.ones(count), np.zeros(count))
+    # Should the program ever fail, what A asks for is cut: worse, but within bounds.
+    clipped = np.minimum(np.maximum(out, 0.0), 1.0)
+    if flag == 1 and np.isfinite(part).all():
+        clipped[used] = np.minimum(np.maximum(part, 0.0), 1.0)
+    served = np.where(wanted, effectiveness @ clipped, demand)
+    return clipped, served
+
+
+def _room(value: np.ndarray, part: np.ndarray) -> float:
+    """Largest share of ``part`` in 0..1 that ``value`` + share * part keeps within 0..1."""
+    limit = np.where(part > 0.0, 1.0 - value, value)
+    size = np.maximum(np.abs(part), 1e-12)
+    return max(min(float((limit / size).min()), 1.0), 0.0)
+
+
+def desaturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Motor thrusts (m,) in 0..1 for ``demand`` (n,): yaw is cut first, then thrust moves, then roll and pitch.
+
+    Returns the thrusts and the demand that was served.
+    """
+    out = matrix @ demand
+    if out.min() >= 0.0 and out.max() <= 1.0:
+        return out, demand
+    served = demand.copy()
+    attitude = matrix[:, 1:3] @ served[1:3]
+    span = float(attitude.max() - attitude.min())
+    if span > 1.0:
+        served[1:3] /= span
+        attitude = attitude / span
+    collective = matrix[:, 0]
+    base = collective * served[0] + attitude
+    served[3] *= _room(base, matrix[:, 3] * served[3])
+    out = base + matrix[:, 3] * served[3]
+    largest = max(float(collective.max()), 1e-6)
+    if out.max() > 1.0:
+        served[0] -= (float(out.max()) - 1.0) / largest
+    elif out.min() < 0.0:
+        served[0] += min(-float(out.min()) / largest, 0.3 * float(demand[0]))
+    out = collective * served[0] + attitude + matrix[:, 3] * served[3]
+    return np.minimum(np.maximum(out, 0.0), 1.0), served

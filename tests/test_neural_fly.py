@@ -1,0 +1,65 @@
+"""Adaptation of phi a: the discrete law is the batch solution, and follows the continuous one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nff_companion.estimation.neural_fly import Adaptation, AdaptationOptions
+
+K, N = 4, 3
+
+
+def basis_at(time_s: float) -> np.ndarray:
+    return np.array([np.sin(time_s), np.cos(0.7 * time_s), np.sin(2.3 * time_s + 1.0), 1.0])
+
+
+def test_without_drive_it_is_regularised_least_squares(rng: np.random.Generator) -> None:
+    prior, spread = rng.standard_normal((K, N)), np.diag(rng.uniform(0.5, 2.0, K))
+    adaptation = Adaptation(prior, AdaptationOptions(follow_s=1e9), spread)
+    state, dt = adaptation.start(), 0.01
+    rows = [rng.standard_normal(K) for _ in range(300)]
+    targets = [rng.standard_normal(N) for _ in rows]
+    for phi, y in zip(rows, targets, strict=True):
+        state = adaptation.step(state, phi, y, dt)
+    phi, y = np.array(rows), np.array(targets)
+    precision = np.linalg.inv(spread) + dt * phi.T @ phi
+    batch = np.linalg.solve(precision, np.linalg.inv(spread) @ prior + dt * phi.T @ y)
+    np.testing.assert_allclose(state.a, batch, atol=1e-9)
+    np.testing.assert_allclose(state.covariance, np.linalg.inv(precision), atol=1e-9)
+
+
+@pytest.mark.parametrize("composite", [0.0, 1.0])
+def test_it_converges_to_the_continuous_law(rng: np.random.Generator, composite: float) -> None:
+    """a' = -lam (a - a0) - P phi^T (phi a - y) + P phi^T s,  P' = -2 lam P + Q - P phi^T phi P, by fine Euler steps."""
+    lam, follow = 0.3, 0.8
+    prior = rng.standard_normal((K, N))
+    truth = rng.standard_normal((K, N))
+    tracking = rng.standard_normal(N)
+    options = AdaptationOptions(follow_s=follow, forget_per_s=lam, composite=composite)
+    errors = []
+    for dt in (0.02, 0.005):
+        adaptation = Adaptation(prior, options)
+        state = adaptation.start()
+        a, p = prior.copy(), np.eye(K) / follow
+        fine = 50
+        for step in range(round(4.0 / dt)):
+            phi = basis_at(step * dt)
+            y = phi @ truth
+            state = adaptation.step(state, phi, y, dt, tracking)
+            for _ in range(fine):
+                h = dt / fine
+                slope = -lam * (a - prior) - np.outer(p @ phi, phi @ a - y)
+                a = a + h * (slope + composite * np.outer(p @ phi, tracking))
+                p = p + h * (-2 * lam * p + np.eye(K) / follow**2 - np.outer(p @ phi, phi @ p))
+        errors.append(float(np.abs(state.a - a).max()))
+    assert errors[1] < 0.5 * errors[0] < 0.1
+
+
+def test_the_covariance_stays_definite_at_any_rate(rng: np.random.Generator) -> None:
+    adaptation = Adaptation(np.zeros((K, N)), AdaptationOptions(follow_s=0.05, forget_per_s=0.5))
+    state = adaptation.start()
+    for _ in range(3000):
+        state = adaptation.step(state, 30.0 * rng.standard_normal(K), rng.standard_normal(N), rng.uniform(0.001, 0.1))
+        assert np.linalg.eigvalsh(state.covariance).min() > 0.0
+    assert np.isfinite(state.a).all()

@@ -1,0 +1,151 @@
+"""The basis network in flight: its file is checked, its Lipschitz bound holds, a is kept within (6.8)."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nff_companion import vehicle as vehicle_model
+from nff_companion.errors import NetworkError
+from nff_companion.learning import phi
+from nff_companion.learning.features import COMMAND, NAMES, features
+from nff_companion.vehicle import Vehicle
+
+
+@pytest.fixture
+def basis(rng: np.random.Generator) -> phi.Basis:
+    width = [len(NAMES), 12, 9, 5]
+    pairs = list(itertools.pairwise(width))
+    return phi.Basis(
+        weights=tuple(rng.standard_normal((b, a)) / np.sqrt(a + b) for a, b in pairs),
+        biases=tuple(rng.standard_normal(b) for _, b in pairs),
+        mean=rng.standard_normal(len(NAMES)),
+        scale=rng.uniform(0.5, 3.0, len(NAMES)),
+        low=np.full(len(NAMES), -5.0),
+        high=np.full(len(NAMES), 5.0),
+        axis_scale=np.array([1.0, 5.0, 5.0, 0.3]),
+        prior=0.1 * rng.standard_normal((6, 4)),
+        metadata={"format": phi.FORMAT, "inputs": list(NAMES)},
+    )
+
+
+@pytest.mark.parametrize("name", phi.names())
+def test_shipped_networks_load_and_say_where_they_come_from(name: str) -> None:
+    basis = phi.load(phi.path_of(name))
+    metadata = basis.metadata
+    assert metadata["command"].startswith("nff train --airframe")
+    assert len(metadata["data_sha256"]) == 64
+    assert metadata["spectral_norms"] == pytest.approx(basis.spectral_norms, abs=1e-3)
+    assert metadata["lipschitz_command"] == pytest.approx(basis.lipschitz_command, abs=1e-3)
+    score = metadata["score"]
+    assert min(score["explained"]) >= 0.80, score
+    assert max(score["error_over_constant"]) <= 0.50, score
+
+
+@pytest.mark.parametrize("airframe", vehicle_model.names())
+def test_networks_that_airframes_name_hold_the_contraction(airframe: str) -> None:
+    vehicle = vehicle_model.load(airframe)
+    basis = phi.for_vehicle(vehicle, "airframe")
+    assert (basis is None) == (vehicle.network == "")
+    if basis is not None:
+        norm = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
+        assert basis.contraction(basis.prior, vehicle, norm) < 1.0
+
+
+def test_a_network_comes_back_from_its_file_as_it_was(basis: phi.Basis, tmp_path: Path, rng) -> None:
+    basis.save(tmp_path / "network.npz")
+    back = phi.load(tmp_path / "network.npz")
+    x = rng.standard_normal(len(NAMES))
+    np.testing.assert_allclose(back(x), basis(x), atol=1e-5)
+    assert back.metadata == basis.metadata
+
+
+def test_the_forward_pass_is_the_plain_one(basis: phi.Basis, rng: np.random.Generator) -> None:
+    x = rng.uniform(-4, 4, len(NAMES))
+    h = (x - basis.mean) / basis.scale
+    for index, (weight, bias) in enumerate(zip(basis.weights, basis.biases, strict=True)):
+        h = weight @ (np.maximum(h, 0.0) if index else h) + bias
+    np.testing.assert_allclose(basis(x), [*h, 1.0], atol=1e-12)
+
+
+def test_inputs_outside_the_training_flights_change_nothing_more(basis: phi.Basis) -> None:
+    edge = np.full(len(NAMES), 6.5)
+    np.testing.assert_allclose(basis(edge), basis(np.full(len(NAMES), 1e6)))
+    assert np.isfinite(basis(np.full(len(NAMES), np.inf))).all()
+
+
+def test_the_lipschitz_bound_holds(basis: phi.Basis, octo: Vehicle, rng: np.random.Generator) -> None:
+    row = octo.acceleration_effectiveness[0]
+    for _ in range(300):
+        x = rng.uniform(-5, 5, len(NAMES))
+        u, v = rng.uniform(0, 1, (2, octo.motors))
+        one, other = x.copy(), x.copy()
+        one[COMMAND], other[COMMAND] = row @ u, row @ v
+        change = np.linalg.norm(basis(one) - basis(other))
+        assert change <= basis.lipschitz_u(octo) * np.linalg.norm(u - v) + 1e-12
+
+
+def test_a_is_projected_until_the_fixed_point_exists(basis: phi.Basis, octo: Vehicle) -> None:
+    a = 500.0 * np.ones_like(basis.prior)
+    kept = basis.project(a, octo, 3.0)
+    assert basis.contraction(kept, octo, 3.0) == pytest.approx(0.999)
+    np.testing.assert_array_equal(kept[-1], a[-1])  # the constant does not depend on u
+    small = 1e-4 * a
+    assert basis.project(small, octo, 3.0) is small
+
+
+def test_a_network_that_breaks_the_contraction_is_refused(basis: phi.Basis, octo: Vehicle, tmp_path: Path) -> None:
+    dataclasses.replace(basis, prior=1000.0 * np.ones_like(basis.prior)).save(tmp_path / "wild.npz")
+    with pytest.raises(NetworkError, match=r"\(6\.8\)"):
+        phi.for_vehicle(octo, str(tmp_path / "wild.npz"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": np.zeros(len(NAMES))}, "scale"),
+        ({"mean": np.zeros(3)}, "shape"),
+        ({"prior": np.zeros((3, 4))}, "prior"),
+        ({"axis_scale": np.array([1.0, math.nan, 1.0, 1.0])}, "finite"),
+        ({"metadata": {"format": 99, "inputs": list(NAMES)}}, "format"),
+        ({"metadata": {"format": phi.FORMAT, "inputs": ["rpm"]}}, "inputs"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused(basis: phi.Basis, tmp_path: Path, change: dict, message: str) -> None:
+    dataclasses.replace(basis, **change).save(tmp_path / "bad.npz")
+    with pytest.raises(NetworkError, match=message):
+        phi.load(tmp_path / "bad.npz")
+
+
+def test_garbage_and_unknown_names_are_refused_with_a_hint(tmp_path: Path) -> None:
+    (tmp_path / "junk.npz").write_bytes(b"not a network")
+    for choice in (str(tmp_path / "junk.npz"), str(tmp_path / "missing.npz"), "no-such-network"):
+        with pytest.raises(NetworkError, match=r"nff train|one of"):
+            phi.load(phi.path_of(choice))
+
+
+def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) -> None:
+    velocity, lateral, rate = rng.standard_normal(3), rng.standard_normal(2), rng.standard_normal(3)
+    tilt = np.array([math.cos(0.1), math.sin(0.1), 0.0, 0.0])
+    seen = []
+    for yaw in (0.0, 1.0, 2.5):
+        turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+        w, z, c, s = turn[0], turn[3], tilt[0], tilt[1]
+        quaternion = np.array([w * c, w * s, z * s, z * c])
+        flown = np.array(
+            [
+                math.cos(yaw) * velocity[0] - math.sin(yaw) * velocity[1],
+                math.sin(yaw) * velocity[0] + math.cos(yaw) * velocity[1],
+                velocity[2],
+            ]
+        )
+        seen.append(features(flown, quaternion, lateral, rate, np.array([9.8, 0, 0, 0])))
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-12)
+    np.testing.assert_allclose(seen[2], seen[0], atol=1e-12)
+    assert len(seen[0]) == len(NAMES)
+    assert seen[0][6] > 0.1, "rolled right: gravity points to the right"
