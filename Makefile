@@ -6,7 +6,7 @@ STAMP := .venv/.ready
 # Without byte code the daemon would compile the dialect at each start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env demo test lint bench lock train-env clean
+.PHONY: env demo test lint bench lock train-env train-test clean
 
 env: $(STAMP)
 
@@ -37,8 +37,12 @@ lock: env
 	$(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 		--extra sim --extra dev --extra build -o requirements.lock
 
+# Several GB: the training of networks alone needs it.
 train-env: env
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[train]'
+
+train-test: train-env
+	$(BIN)/python -m pytest -m train
 
 clean:
 	rm -rf .venv build dist *.egg-info

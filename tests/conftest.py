@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import random
 from pathlib import Path
@@ -30,6 +31,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for variable, what in (("NFF_ARDUCOPTER", "ArduCopter"), ("NFF_PX4", "PX4")):
         if not os.environ.get(variable):
             terminalreporter.write_line(f"{variable} is not set: NO REAL {what} WAS FLOWN (README, Real firmware)")
+    if importlib.util.find_spec("torch") is None:
+        terminalreporter.write_line("torch is not installed: NO NETWORK WAS TRAINED (make train-test)")
     if not os.environ.get("NFF_DATA"):
         terminalreporter.write_line(
             "NFF_DATA is not set: the tests on recorded flights DID NOT RUN (README, section Data)", red=True, bold=True

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import convert
 
 from nff_companion import vehicle as vehicle_model
 from nff_companion.errors import NetworkError
 from nff_companion.learning import phi
 from nff_companion.learning.features import COMMAND, NAMES, features
+from nff_companion.learning.score import Score
 from nff_companion.vehicle import Vehicle
 
 
@@ -42,9 +44,9 @@ def test_shipped_networks_load_and_say_where_they_come_from(name: str) -> None:
     assert len(metadata["data_sha256"]) == 64
     assert metadata["spectral_norms"] == pytest.approx(basis.spectral_norms, abs=1e-3)
     assert metadata["lipschitz_command"] == pytest.approx(basis.lipschitz_command, abs=1e-3)
-    score = metadata["score"]
-    assert min(score["explained"]) >= 0.80, score
-    assert max(score["error_over_constant"]) <= 0.50, score
+    score = convert(metadata["score"], Score)
+    assert metadata["covers"] == score.covered
+    assert {"thrust", "roll", "pitch"} <= set(score.covered), score
 
 
 @pytest.mark.parametrize("airframe", vehicle_model.names())

@@ -1,4 +1,4 @@
-"""``nff bench loop`` and ``nff bench allocation``."""
+"""``nff bench``."""
 
 from __future__ import annotations
 
@@ -49,6 +49,22 @@ def allocation(
         for case in ("healthy", "1", "1+2", "1+3"):
             if case in result["torque"]:
                 console.print(f"   {case:8} {result['torque'][case]}", highlight=False)
+
+
+@app.command("adaptation")
+def adaptation(
+    airframe: Annotated[str, typer.Option(help="Airframe that names a network.")] = "octo-x",
+    json: Json = False,
+) -> None:
+    """One adaptation step, basis network included."""
+    from nff_companion.trials.adaptation_bench import measure
+
+    document = measure(airframe)
+    if json:
+        print_json(document)
+        return
+    for key, value in document.items():
+        console.print(f"{key}: {value}", highlight=False)
 
 
 @app.command("ardupilot")

@@ -15,7 +15,8 @@ from nff_companion.cli.output import console, print_json
 from nff_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
-    from nff_companion.learning.dataset import Dataset, Score
+    from nff_companion.learning.dataset import Dataset
+    from nff_companion.learning.score import Score
     from nff_companion.vehicle import Vehicle
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -74,6 +75,7 @@ def train(
     trained = trainer.basis({"airframe": vehicle.name, "command": command})
     result = score(vehicle, trained, unseen)
     trained.metadata["score"] = msgspec.to_builtins(result)
+    trained.metadata["covers"] = result.covered
     trained.save(out)
     for_vehicle(vehicle, str(out))  # what flight would refuse, training reports at once
     document: dict[str, Any] = {
@@ -150,6 +152,7 @@ def _print_score(result: Score) -> None:
         console.print(
             f"{axis:7} explained {result.explained[index]:.3f} (constant phi {result.constant_explained[index]:.3f}),"
             f" error {result.error_over_constant[index]:.2f} of the constant's,"
-            f" {result.error_rms[index]:.3f} of {result.residual_rms[index]:.3f} SI rms",
+            f" {result.error_rms[index]:.3f} of {result.residual_rms[index]:.3f} SI rms"
+            f"{'' if axis in result.covered else '; NOT COVERED'}",
             highlight=False,
         )

@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from nff_companion.errors import LogError
@@ -106,14 +105,3 @@ def split(condition: Condition, seconds: float) -> list[Condition]:
     parts = max(len(condition.features) // rows, 1)
     pieces = zip(np.array_split(condition.features, parts), np.array_split(condition.residual, parts), strict=True)
     return [Condition(f"{condition.name}#{k + 1}", f, r) for k, (f, r) in enumerate(pieces)]
-
-
-class Score(msgspec.Struct, frozen=True):
-    """One-step-ahead prediction on flights that were not trained on; one value an axis."""
-
-    explained: list[float]  # share of the residual's variance explained by phi a
-    constant_explained: list[float]  # by a constant phi with the same adaptation
-    error_over_constant: list[float]  # root mean square of y - phi a over that of the constant phi
-    residual_rms: list[float]  # of y about its mean, SI
-    error_rms: list[float]  # of y - phi a, SI
-    minutes: float

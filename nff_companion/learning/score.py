@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from nff_companion.estimation.disturbance import Disturbance
 from nff_companion.estimation.neural_fly import AdaptationOptions
-from nff_companion.learning.dataset import RATE_HZ, Condition, Dataset, Score
+from nff_companion.learning.dataset import RATE_HZ, Condition, Dataset
 from nff_companion.learning.phi import Basis
-from nff_companion.vehicle import Vehicle
+from nff_companion.vehicle import AXES, Vehicle
 
 _WARM_UP_S = 3.0  # of each flight not counted: a is being found
+# An axis is covered when phi a explains so much of it, and leaves at most so much of the constant's error.
+EXPLAINED_MIN, ERROR_OVER_CONSTANT_MAX = 0.80, 0.50
+
+
+class Score(msgspec.Struct, frozen=True):
+    """One-step-ahead prediction on flights that were not trained on; one value an axis."""
+
+    explained: list[float]  # share of the residual's variance explained by phi a
+    constant_explained: list[float]  # by a constant phi with the same adaptation
+    error_over_constant: list[float]  # root mean square of y - phi a over that of the constant phi
+    residual_rms: list[float]  # of y about its mean, SI
+    error_rms: list[float]  # of y - phi a, SI
+    minutes: float
+
+    @property
+    def covered(self) -> list[str]:
+        """Axes that the network may claim to cover."""
+        shares = zip(AXES, self.explained, self.error_over_constant, strict=True)
+        return [axis for axis, share, ratio in shares if share >= EXPLAINED_MIN and ratio <= ERROR_OVER_CONSTANT_MAX]
 
 
 def prediction_errors(disturbance: Disturbance, condition: Condition) -> np.ndarray:
