@@ -15,8 +15,10 @@ from nff_companion.vehicle import Vehicle
 class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuning."""
 
-    shape_full_at: float = 0.75  # zeta of (24)
-    shape_none_below: float = 0.30  # xi
+    follow_estimate: bool = False  # the published way: allocate for the shaped estimate itself, nothing declared
+    shape: bool = True  # of the estimate, (24)
+    shape_full_at: float = 0.75  # zeta
+    shape_none_below: float = 0.30  # xi; below it a motor is removed
     degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
     resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
     resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
@@ -52,7 +54,8 @@ class Planner:
     def step(self, time_s: float, estimate: Estimate) -> None:
         """Solve the allocation again when what is believed of the motors has moved."""
         o = self._options
-        clear = float(estimate.effectiveness.min()) >= o.shape_full_at and not estimate.failed.any()
+        clear = float(estimate.effectiveness.min()) >= (o.shape_full_at if o.shape else 1.0)
+        clear = clear and not estimate.failed.any()
         if clear and self._untouched:
             return
         target = self._target(time_s, estimate)
@@ -87,6 +90,9 @@ class Planner:
     def _target(self, time_s: float, estimate: Estimate) -> np.ndarray:
         """Effectiveness (m,) to allocate for: declared motors gone, a lasting partial loss shaped, the rest whole."""
         o = self._options
+        if o.follow_estimate:
+            eta = np.minimum(np.maximum(estimate.effectiveness, 0.0), 1.0)
+            return sparse.shape(eta, o.shape_full_at, o.shape_none_below) if o.shape else eta
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
         if int(low.sum()) > 1:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess

@@ -16,6 +16,10 @@ def compare(
     seeds: Annotated[int, typer.Option(help="Seeds; each an inner and an outer failure for every controller.")] = 20,
     controllers: Annotated[str, typer.Option(help="Only these, separated by commas.")] = "",
     network: Annotated[str, typer.Option(help="Basis: airframe, none, a shipped name or an .npz file.")] = "airframe",
+    variant: Annotated[
+        str,
+        typer.Option(help="Ablation: full, no-phi, published, published-no-sparsity, published-no-shaping."),
+    ] = "full",
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 2.0,
     draw: Annotated[Path | None, typer.Option(help="Folder for figures 5, 6 and 7.")] = None,
     workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
@@ -24,7 +28,7 @@ def compare(
     """Fly the published experiment with every controller and print its table beside the published one."""
     from nff_companion.trials.paper.figures import document
     from nff_companion.trials.paper.run import run
-    from nff_companion.trials.paper.scenario import CONTROLLERS, PaperOptions
+    from nff_companion.trials.paper.scenario import CONTROLLERS, PaperOptions, variants
 
     if scenario != "paper":
         raise ConfigError(f"scenario {scenario!r} is unknown: choose paper")
@@ -32,7 +36,10 @@ def compare(
     unknown = set(chosen) - set(CONTROLLERS)
     if unknown:
         raise ConfigError(f"controller {min(unknown)!r} is unknown: choose among {', '.join(CONTROLLERS)}")
-    traces = run(PaperOptions(seeds=seeds, wind_m_s=wind, network=network, controllers=chosen), workers or None)
+    if variant not in variants():
+        raise ConfigError(f"variant {variant!r} is unknown: choose one of {', '.join(variants())}")
+    options = PaperOptions(seeds=seeds, wind_m_s=wind, network=network, variant=variant, controllers=chosen)
+    traces = run(options, workers or None)
     result = document(traces)
     if draw is not None:
         from nff_companion.trials.paper.drawing import draw as draw_figures

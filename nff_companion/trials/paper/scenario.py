@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from nff_companion import vehicle as vehicle_model
-from nff_companion.estimation.decision import Event
+from nff_companion.allocation.planner import PlannerOptions
+from nff_companion.estimation.decision import DecisionOptions, Event
 from nff_companion.estimation.estimator import EstimatorOptions
 from nff_companion.laws import LAWS
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
@@ -45,7 +47,28 @@ class PaperOptions:
     wind_m_s: float = 2.0
     turbulence_share: float = 0.25
     network: str = "airframe"
+    variant: str = "full"
     controllers: tuple[str, ...] = CONTROLLERS
+
+
+_UNDECLARED = DecisionOptions(improvement_min=1e9, loss_gradual=2.0)
+
+
+def variants() -> dict[str, PipelineOptions]:
+    """Ablations: what is changed in the laws that find motors."""
+    published = PlannerOptions(follow_estimate=True)
+    return {
+        "full": PipelineOptions(),
+        "no-phi": PipelineOptions(estimator=EstimatorOptions(network="none")),
+        "published": PipelineOptions(planner=published, estimator=EstimatorOptions(decision=_UNDECLARED)),
+        "published-no-sparsity": PipelineOptions(
+            planner=published, estimator=EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
+        ),
+        "published-no-shaping": PipelineOptions(
+            planner=PlannerOptions(follow_estimate=True, shape=False),
+            estimator=EstimatorOptions(decision=_UNDECLARED),
+        ),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +149,11 @@ def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
 
 
 def _pipeline_options(options: PaperOptions, controller: str) -> PipelineOptions:
-    return PipelineOptions(
-        mode=Mode.OVERRIDE,
-        law=controller,  # type: ignore[arg-type]
-        estimator=EstimatorOptions(network=options.network),
-    )
+    chosen = variants()[options.variant]
+    estimator = chosen.estimator
+    if options.network != "airframe":
+        estimator = msgspec.structs.replace(estimator, network=options.network)
+    return msgspec.structs.replace(chosen, mode=Mode.OVERRIDE, law=controller, estimator=estimator)
 
 
 def _lead(fleet: Fleet) -> None:
