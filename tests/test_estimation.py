@@ -10,7 +10,13 @@ from nff_companion.estimation import hypotheses, sparse
 from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
 from nff_companion.estimation.filters import LowPass, lag_share, loss_response
 from nff_companion.estimation.neural_fly import AdaptationOptions
-from nff_companion.estimation.onset import MODEL_ERROR_SHARE, YAW_ERROR_SHARE, OnsetBank
+from nff_companion.estimation.onset import (
+    MODEL_ERROR_SHARE,
+    SINGLE_ERROR_SHARE,
+    TOGETHER_ERROR_SHARE,
+    YAW_ERROR_SHARE,
+    OnsetBank,
+)
 from nff_companion.estimation.residual import SMOOTHING_S, ResidualFilter
 from nff_companion.vehicle import Vehicle
 
@@ -173,7 +179,7 @@ def test_onset_sums_equal_sums_over_the_history(octo: Vehicle, rng: np.random.Ge
     b, u, y = data(rng, octo, 90, np.zeros(8), noise=3.0)
     state = bank.start()
     for k in range(90):
-        state = bank.push(state, u[k], y[k])
+        state = bank.push(state, u[k], y[k], b, 0.5 * u[k])
     variance = np.array([0.1, 2.0, 2.0, 0.3])
     sums = bank.sums(state, b, variance, 0.01)
     response = loss_response(DT, bank.length, 0.045, LowPass.design(20.0, DT), SMOOTHING_S)
@@ -182,6 +188,9 @@ def test_onset_sums_equal_sums_over_the_history(octo: Vehicle, rng: np.random.Ge
     level = (energy / np.array(counts)[:, None]).max(axis=0)
     error = MODEL_ERROR_SHARE**2 * level
     error[3] += ((octo.inertia_kg_m2[:2] / octo.inertia_kg_m2[2]) ** 2 @ level[1:3]) * (YAW_ERROR_SHARE**2 + 0.01**2)
+    half = 0.5 * b * u[:, None, :]
+    doubt = TOGETHER_ERROR_SHARE**2 * half.sum(axis=2) ** 2 + SINGLE_ERROR_SHARE**2 * (half**2).sum(axis=2)
+    error += np.array([doubt[-c:].mean(axis=0) for c in counts]).max(axis=0)
     w = np.diag(DT / (CORRELATION_S * (variance + error)))
     for row, count in enumerate(counts[:-2]):  # the last two windows are for standing losses
         g = response[:count]

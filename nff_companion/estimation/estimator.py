@@ -17,6 +17,7 @@ from nff_companion.estimation.disturbance import (
     SideDragState,
     learn_side_drag,
 )
+from nff_companion.estimation.filters import lag_share
 from nff_companion.estimation.neural_fly import AdaptationOptions
 from nff_companion.estimation.onset import OnsetBank, OnsetState
 from nff_companion.estimation.residual import ResidualFilter, ResidualState
@@ -27,6 +28,7 @@ _SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypothese
 _LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
 _LEARN_FAST_RATE = 6.0
 _FREEZE_MAX_S = 1.0
+_STEADY_S = 0.4  # what the motors do for longer than this is steady flight
 _CLEAR_LOSS, _FEW = 0.12, 2  # a loss that counts as one, and of how many motors at most: more is a disturbance
 
 
@@ -52,6 +54,7 @@ class EstimatorState:
     side_drag: SideDragState
     information: sparse.Information
     onset: OnsetState
+    steady: np.ndarray  # (m,) w, slow
     decision: DecisionState
     started_s: float
     suspicious_since_s: float | None
@@ -100,6 +103,7 @@ class Estimator:
             vehicle.motor.time_constant_down_s,
             self._filter.low_pass,
         )
+        self._steady = lag_share(dt_s, _STEADY_S)
         self._decision = Decision(vehicle.motors, vehicle.axes, options.decision)
 
     def start(
@@ -121,6 +125,7 @@ class Estimator:
             side_drag=SideDragState(),
             information=sparse.Information.empty(m),
             onset=self._onset.start(),
+            steady=command.copy(),
             decision=decision,
             started_s=time_s,
             suspicious_since_s=None,
@@ -161,7 +166,8 @@ class Estimator:
 
         regressor = matrix * filtered.weight
         information = sparse.update(state.information, regressor, residual, weight, dt_s, o.forgetting_per_s)
-        onset = self._onset.push(state.onset, filtered.weight, residual)
+        steady = state.steady + self._steady * (filtered.weight - state.steady)
+        onset = self._onset.push(state.onset, filtered.weight, residual, matrix, steady)
         best = direct = None
         hint = () if stopped is None else tuple(int(i) for i in np.flatnonzero(stopped & ~decision.failed))
         if o.identify and (hint or float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2):
@@ -197,6 +203,7 @@ class Estimator:
             learnt,
             information,
             onset,
+            steady,
             decision,
             state.started_s,
             suspicious_since,

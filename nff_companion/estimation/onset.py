@@ -23,6 +23,9 @@ _AGES_S = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.16, 0.
 # Errors of the model grow with the residual itself (inertia, arm, thrust): this share of it, on each axis, is not
 # evidence. It keeps a large torque from drowning what the other axes say.
 MODEL_ERROR_SHARE = 0.10
+# So do errors with what the motors do beyond the steady part, which phi a has learnt. Of all together: inertia, thrust.
+# Of each for itself: in forward flight one rotor flies in another's wake and gives a fifth less.
+TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = 0.12, 0.12
 YAW_ERROR_SHARE = 0.02  # yaw torque as a share of roll and pitch torque, besides the side drag
 # Windows for a loss that is older than the memory: it has been there in full all along.
 _STANDING_S = (0.1, 0.2)
@@ -35,6 +38,7 @@ class OnsetState:
     outer: np.ndarray  # (L, m * m) w w'
     product: np.ndarray  # (L, n * m) y w'
     squared: np.ndarray  # (L, n) y^2
+    doubtful: np.ndarray  # (L, n) variance by errors of the model that scale with what the motors do
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +86,22 @@ class OnsetBank:
     def start(self) -> OnsetState:
         """Empty history."""
         length, n, m = self.length, self._axes, self._motors
-        return OnsetState(np.zeros((length, m * m)), np.zeros((length, n * m)), np.zeros((length, n)))
+        outer, product = np.zeros((length, m * m)), np.zeros((length, n * m))
+        return OnsetState(outer, product, np.zeros((length, n)), np.zeros((length, n)))
 
-    def push(self, state: OnsetState, weight: np.ndarray, residual: np.ndarray) -> OnsetState:
-        """Append one sample: w (m,) and y (n,). The state's arrays are moved in place."""
-        for history in (state.outer, state.product, state.squared):
+    def push(
+        self, state: OnsetState, weight: np.ndarray, residual: np.ndarray, effectiveness: np.ndarray, steady: np.ndarray
+    ) -> OnsetState:
+        """Append one sample: w (m,) and y (n,); ``effectiveness`` (n, m) in accelerations, ``steady`` (m,) slow part of
+        w. The state's arrays are moved in place."""
+        for history in (state.outer, state.product, state.squared, state.doubtful):
             history[:-1] = history[1:]
         np.multiply(weight[:, None], weight, out=state.outer[-1].reshape(self._motors, -1))
         np.multiply(residual[:, None], weight, out=state.product[-1].reshape(self._axes, -1))
         np.multiply(residual, residual, out=state.squared[-1])
+        beyond = effectiveness * (weight - steady)
+        together, single = beyond.sum(axis=1), (beyond * beyond).sum(axis=1)
+        state.doubtful[-1] = TOGETHER_ERROR_SHARE**2 * together * together + SINGLE_ERROR_SHARE**2 * single
         return state
 
     def sums(self, state: OnsetState, effectiveness: np.ndarray, variance: np.ndarray, yaw_error: float) -> OnsetSums:
@@ -101,7 +112,8 @@ class OnsetBank:
         n, m, b = self._axes, self._motors, effectiveness
         energy = self._inside @ state.squared  # (K, n)
         # One weight for all windows: their improvements are then likelihoods of the same data.
-        total = variance + error @ (energy / self._counts[:, None]).max(axis=0)
+        doubtful = ((self._inside @ state.doubtful) / self._counts[:, None]).max(axis=0)
+        total = variance + error @ (energy / self._counts[:, None]).max(axis=0) + doubtful
         weight = self._dt / (CORRELATION_S * total)  # (n,)
         gram = (b.T * weight) @ b
         outer = (self._squared @ state.outer).reshape(-1, m, m)
