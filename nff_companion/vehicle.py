@@ -34,7 +34,7 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    network: str = ""  # basis network: a shipped name or a path; empty: a constant basis
+    network: str = ""  # basis network: a shipped name or a file beside this one; empty: a constant basis
 
 
 class MotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -237,4 +237,7 @@ def load(name: str, *, thrust_to_weight: float | None = None) -> Vehicle:
     if thrust_to_weight is not None:
         thrust = thrust_to_weight * data.airframe.mass_kg * GRAVITY_M_S2 / len(data.rotor)
         data = msgspec.structs.replace(data, motor=msgspec.structs.replace(data.motor, max_thrust_n=thrust))
+    if data.airframe.network.endswith(".npz"):  # beside the airframe file, unless absolute
+        network = str(path.parent / data.airframe.network)
+        data = msgspec.structs.replace(data, airframe=msgspec.structs.replace(data.airframe, network=network))
     return Vehicle(data)

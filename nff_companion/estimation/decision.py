@@ -26,6 +26,7 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     explained_min: float = 0.70  # share of the residual's energy that the hypothesis explains
     loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
     loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
+    loss_others: float = 0.30  # of a second motor, beside which nothing gradual is declared
     confirm_s: float = 0.008
     confirm_gradual_s: float = 0.3
     confirm_ambiguous_s: float = 0.015  # for pairs, which have more look-alikes
@@ -210,8 +211,16 @@ class Decision:
                 for motor, loss in zip(best.motors, best.loss, strict=True):
                     events.append(Event(time_s, motor + 1, True, 1.0 + loss, best.confidence))
                 candidate = ()
-        # Gradual losses, by the sparse estimate alone.
-        low = (1.0 - effectiveness > o.loss_gradual) & (deviation < 0.25) & ~failed & (driven > o.lift_driven)
+        # Gradual losses, by the sparse estimate alone: of one motor, while the others are whole. Several partial
+        # losses at once have look-alikes, and are what air that the model does not know looks like.
+        lost = (1.0 - effectiveness > o.loss_others) & ~failed
+        low = (
+            (int(lost.sum()) == 1)
+            & (1.0 - effectiveness > o.loss_gradual)
+            & (deviation < 0.25)
+            & ~failed
+            & (driven > o.lift_driven)
+        )
         gradual = np.where(low, np.where(np.isnan(state.gradual_since_s), time_s, state.gradual_since_s), np.nan)
         ready = low & (time_s - np.nan_to_num(gradual, nan=np.inf) >= o.confirm_gradual_s)
         if ready.sum() == 1 and failed.sum() < self._failed_max:

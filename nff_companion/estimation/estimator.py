@@ -39,7 +39,7 @@ class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     gamma: float = 20.0  # l1 weight, nats
     solve_interval_s: float = 0.01  # of the sparse program; its sums take every sample
     gamma_onset: float = 1.0
-    identify: bool = True  # False: no motor is ever named; the law NF
+    identify: bool = True  # False: no loss is looked for, total or partial
     network: str = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
     adaptation: AdaptationOptions = AdaptationOptions()
     decision: DecisionOptions = DecisionOptions()
@@ -179,7 +179,7 @@ class Estimator:
                 direct = self._decision.direct(sums, decision.failed, hint, o.gamma_onset)
         suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
-        if time_s - solved_s >= o.solve_interval_s - 1e-9:
+        if o.identify and time_s - solved_s >= o.solve_interval_s - 1e-9:
             solved_s = time_s
             effectiveness, deviation = self._effectiveness(information, decision.failed)
         events: list[Event] = []

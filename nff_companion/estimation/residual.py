@@ -22,9 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nff_companion.estimation.filters import LowPass, lag_share
-from nff_companion.vehicle import GRAVITY_M_S2, YAW, Vehicle
+from nff_companion.vehicle import YAW, Vehicle
 
 SMOOTHING_S = 0.008
+_IDLE = 0.02  # least thrust fraction of a rotor that turns
 _LATERAL_S = 0.15  # smoothing of the lateral specific force
 
 
@@ -63,8 +64,8 @@ class ResidualFilter:
         self._lateral = lag_share(dt_s, _LATERAL_S)
         self._nominal = vehicle.acceleration_effectiveness
         x, y = vehicle.position_m.T
-        share = motor.max_thrust_n / (GRAVITY_M_S2 * vehicle.inertia_kg_m2[2])
-        self._side_drag = share * np.stack([-y, x])  # (2, m) yaw acceleration per lateral specific force
+        # (2, m) yaw acceleration per lateral specific force, were it all at one rotor
+        self._side_drag = vehicle.mass_kg / vehicle.inertia_kg_m2[2] * np.stack([-y, x])
 
     def start(self, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray) -> ResidualState:
         """State as if the vehicle had flown like this for ever."""
@@ -91,8 +92,12 @@ class ResidualFilter:
         )
 
     def side_drag(self, state: ResidualState) -> np.ndarray:
-        """Yaw acceleration (m,) of each motor at full thrust if all the lateral drag acted at the rotors."""
-        return state.lateral @ self._side_drag
+        """Yaw acceleration (m,) of each motor per thrust fraction if all the lateral drag acted at the rotors.
+
+        A rotor's share of the drag goes with its speed, the root of its thrust.
+        """
+        speed = np.sqrt(np.maximum(state.weight, _IDLE))
+        return (state.lateral @ self._side_drag) / (speed * speed.sum())
 
     def effectiveness(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:
         """B0 (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
