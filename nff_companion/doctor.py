@@ -8,6 +8,7 @@ import time
 from nff_companion.autopilots.base import Adapter, Finding, Stream
 from nff_companion.autopilots.streams import StreamMonitor, interval
 from nff_companion.config import Config
+from nff_companion.learning import phi
 from nff_companion.link.codec import dialect
 from nff_companion.link.hub import Hub
 from nff_companion.startup import endpoints, prepare
@@ -23,6 +24,7 @@ class Doctor:
         """Raises NffError when the configuration or its endpoints cannot be used."""
         self._config = config
         self.vehicle, self._meeting = prepare(config)
+        self._network = phi.for_vehicle(self.vehicle, config.estimator.network)
         self._poll = select.poll()
         self._hub = Hub(endpoints(config), 1, config.link.component, self._poll, time.monotonic())
         self._streams = StreamMonitor()
@@ -90,6 +92,8 @@ class Doctor:
         out = [Finding("link", True, f"autopilot of system {adapter.target[0]}, adapter {adapter.name}")]
         if self._armed:
             out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
+        network = "none: a constant basis" if self._network is None else self._network.label
+        out.append(Finding("network", True, network))
         out += adapter.findings()
         slow = self._streams.slow(adapter.streams(self._config.link.rate_hz), time.monotonic())
         text = ", ".join(f"{name} {rate:.0f} of {asked:.0f} Hz" for name, (rate, asked) in slow.items())

@@ -153,6 +153,18 @@ class Reporter:
         """One line for the service manager."""
         return f"{self._mode().name.lower()}: {self._reason()}; {self.rate_hz:.0f} Hz, step {self.step_us:.0f} us"
 
+    def _learning(self) -> dict[str, Any]:
+        """The basis network, whether it is given what it looks at, and phi a."""
+        network = self._pipeline.network
+        estimate = None if self._output is None else self._output.estimate
+        return {
+            "network": None if network is None else network.label,
+            "sighted": None if network is None or estimate is None else estimate.features is not None,
+            "residual_explained": None
+            if estimate is None
+            else dict(zip(AXES, (round(float(v), 3) for v in estimate.disturbance), strict=True)),
+        }
+
     def document(self, bad_frames: int, adapter: Adapter | None, sample_age_s: float | None) -> dict[str, Any]:
         """What ``nff status --json`` prints."""
         output = self._output
@@ -186,6 +198,7 @@ class Reporter:
             "events": list(self._events),
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],
             "unallocated": None if output is None else [round(float(v), 4) for v in output.unallocated],
+            "learning": self._learning(),
             "rate_hz": round(self.rate_hz, 1),
             "step_us": round(self.step_us, 1),
             "speed_sensor_faults": self._pipeline.speed_faults,

@@ -280,3 +280,34 @@ def test_a_constant_basis_is_the_mean_with_exponential_weights(octo: Vehicle, rn
     np.testing.assert_allclose(disturbance.predict(state, state.basis), weights @ y, rtol=0.02, atol=1e-3)
     frozen = disturbance.step(state, state.basis, y[0], DT, rate=0.0)
     assert frozen.adaptation is state.adaptation, "frozen while a failure is weighed"
+
+
+def test_a_joint_estimate_is_the_marginal_over_a_constant_error_of_the_disturbance(
+    octo: Vehicle, rng: np.random.Generator
+) -> None:
+    joint = 1.5
+    bank = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, None, joint)
+    b, u, y = data(rng, octo, 90, np.zeros(8), noise=3.0)
+    state = bank.start()
+    for k in range(90):
+        state = bank.push(state, u[k], y[k], b, u[k])
+    variance = np.array([0.1, 2.0, 2.0, 0.3])
+    plain = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, None).sums(state, b, variance, 0.0)
+    together = bank.sums(state, b, variance, 0.0)
+    response = loss_response(DT, bank.length, 0.045, None, SMOOTHING_S)
+    row, count = 4, round(bank.sums(state, b, variance, 0.0).age_s[4] / DT)
+    # The weight that both use, from a window's energy on each axis.
+    axis_energy = (y[-count:] ** 2).sum(axis=0)
+    level = np.array([(y[-round(a / DT) :] ** 2).sum(axis=0) / round(a / DT) for a in plain.age_s]).max(axis=0)
+    total = variance + MODEL_ERROR_SHARE**2 * level
+    total[3] += ((octo.inertia_kg_m2[:2] / octo.inertia_kg_m2[2]) ** 2 @ level[1:3]) * YAW_ERROR_SHARE**2
+    weight = DT / (CORRELATION_S * total)
+    assert plain.energy[row] == pytest.approx(float(axis_energy @ weight), rel=1e-9)
+    matrix, vector = np.zeros((8, 8)), np.zeros(8)
+    for axis in range(4):
+        covariance = np.eye(count) / weight[axis] + joint**2 * variance[axis]
+        regressor = response[:count, None] * u[-count:] * b[axis]
+        matrix += regressor.T @ np.linalg.solve(covariance, regressor)
+        vector += regressor.T @ np.linalg.solve(covariance, y[-count:, axis])
+    np.testing.assert_allclose(together.matrix[row], matrix, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(together.vector[row], vector, rtol=1e-8, atol=1e-8)

@@ -41,6 +41,7 @@ class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     gamma_onset: float = 1.0
     identify: bool = True  # False: no loss is looked for, total or partial
     network: str = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
+    joint: float = 0.0  # 0: phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md)
     adaptation: AdaptationOptions = AdaptationOptions()
     decision: DecisionOptions = DecisionOptions()
 
@@ -102,6 +103,7 @@ class Estimator:
             dt_s,
             vehicle.motor.time_constant_down_s,
             self._filter.low_pass,
+            options.joint,
         )
         self._steady = lag_share(dt_s, _STEADY_S)
         self._decision = Decision(vehicle.motors, vehicle.axes, options.decision)

@@ -39,6 +39,8 @@ class OnsetState:
     product: np.ndarray  # (L, n * m) y w'
     squared: np.ndarray  # (L, n) y^2
     doubtful: np.ndarray  # (L, n) variance by errors of the model that scale with what the motors do
+    weight: np.ndarray  # (L, m) w
+    residual: np.ndarray  # (L, n) y
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +64,12 @@ class OnsetBank:
         dt_s: float,
         lag_down_s: float,
         low_pass: LowPass | None,
+        joint: float = 0.0,
     ) -> None:
+        """``joint``: 0, y - phi a is taken as it is; else phi a may be off by so many deviations of the residual, and
+        is estimated together with the losses."""
         counts = sorted({max(round(age / dt_s), 2) for age in _AGES_S})
-        self._axes, self._motors = axes, motors
+        self._axes, self._motors, self._joint = axes, motors, joint
         self.length, self._dt = counts[-1], dt_s
         standing = [max(round(age / dt_s), 2) for age in _STANDING_S]
         response = loss_response(dt_s, self.length, lag_down_s, low_pass, SMOOTHING_S)
@@ -87,20 +92,29 @@ class OnsetBank:
         """Empty history."""
         length, n, m = self.length, self._axes, self._motors
         outer, product = np.zeros((length, m * m)), np.zeros((length, n * m))
-        return OnsetState(outer, product, np.zeros((length, n)), np.zeros((length, n)))
+        squared, doubtful, residual = (np.zeros((length, n)) for _ in range(3))
+        return OnsetState(outer, product, squared, doubtful, np.zeros((length, m)), residual)
 
     def push(
         self, state: OnsetState, weight: np.ndarray, residual: np.ndarray, effectiveness: np.ndarray, steady: np.ndarray
     ) -> OnsetState:
         """Append one sample: w (m,) and y (n,); ``effectiveness`` (n, m) in accelerations, ``steady`` (m,) slow part of
         w. The state's arrays are moved in place."""
-        for history in (state.outer, state.product, state.squared, state.doubtful):
+        for history in (
+            state.outer,
+            state.product,
+            state.squared,
+            state.doubtful,
+            state.weight,
+            state.residual,
+        ):
             history[:-1] = history[1:]
         np.multiply(weight[:, None], weight, out=state.outer[-1].reshape(self._motors, -1))
         np.multiply(residual[:, None], weight, out=state.product[-1].reshape(self._axes, -1))
         np.multiply(residual, residual, out=state.squared[-1])
         beyond = effectiveness * (weight - steady)
         together, single = beyond.sum(axis=1), (beyond * beyond).sum(axis=1)
+        state.weight[-1], state.residual[-1] = weight, residual
         state.doubtful[-1] = TOGETHER_ERROR_SHARE**2 * together * together + SINGLE_ERROR_SHARE**2 * single
         return state
 
@@ -118,9 +132,15 @@ class OnsetBank:
         gram = (b.T * weight) @ b
         outer = (self._squared @ state.outer).reshape(-1, m, m)
         product = (self._response @ state.product).reshape(-1, n, m)
-        return OnsetSums(
-            gram * outer,
-            np.einsum("ai,kai->ki", weight[:, None] * b, product),
-            energy @ weight,
-            self.age_s,
-        )
+        matrix, vector = gram * outer, np.einsum("ai,kai->ki", weight[:, None] * b, product)
+        evidence = energy @ weight
+        if self._joint:
+            # phi a may be wrong by a constant in the window, of the residual's own variance: integrated out.
+            shift = self._joint**2 * variance
+            share = weight * shift * weight / (1.0 + self._counts[:, None] * weight * shift)  # (K, n)
+            moment = b * (self._response @ state.weight)[:, None, :]  # (K, n, m)
+            total_y = self._inside @ state.residual  # (K, n)
+            matrix = matrix - np.einsum("ka,kai,kaj->kij", share, moment, moment)
+            vector = vector - np.einsum("ka,kai,ka->ki", share, moment, total_y)
+            evidence = evidence - (share * total_y * total_y).sum(axis=1)
+        return OnsetSums(matrix, vector, evidence, self.age_s)

@@ -54,6 +54,13 @@ class Basis:
         """k + 1."""
         return len(self.prior)
 
+    @property
+    def label(self) -> str:
+        """Which network this is, for people."""
+        m = self.metadata
+        covers = ", ".join(m.get("covers", [])) or "no axis by its score"
+        return f"{m.get('airframe', 'unnamed')}, {m.get('minutes', '?')} min, {m.get('data_sha256', '')[:8]}: {covers}"
+
     @cached_property
     def _first(self) -> tuple[np.ndarray, np.ndarray]:
         """First layer with the normalisation of the inputs folded in."""

@@ -59,6 +59,7 @@ class SurveyOptions:
     rotor_speeds: bool = False
     forward: bool = False  # legs of up to 12 m/s instead of hover, or of the healthy script
     network: str = "airframe"
+    joint: float = 0.0
 
 
 @dataclass(slots=True)
@@ -109,6 +110,7 @@ def _described(options: SurveyOptions) -> dict[str, Any]:
         "rotor_speeds": options.rotor_speeds,
         "forward": options.forward,
         "network": options.network,
+        "joint": options.joint,
     }
 
 
@@ -148,7 +150,9 @@ def _build(
     if options.personality == "ardupilot":
         model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
         workshop = Workshop.prepare(model, PipelineOptions().allocation, card)
-    chosen = PipelineOptions(mode=options.mode, estimator=EstimatorOptions(network=options.network))
+    chosen = PipelineOptions(
+        mode=options.mode, estimator=EstimatorOptions(network=options.network, joint=options.joint)
+    )
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
         dict.fromkeys(companions, chosen),
