@@ -28,6 +28,8 @@ _SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypothese
 _LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
 _LEARN_FAST_RATE = 6.0
 _FREEZE_MAX_S = 1.0
+# What a few motors explain this well is theirs, and not learnt for longer, although they may not be told apart yet.
+_SURE_EXPLAINED, _FREEZE_SURE_S = 0.9, 8.0
 _STEADY_S = 0.4  # what the motors do for longer than this is steady flight
 _CLEAR_LOSS, _FEW = 0.12, 2  # a loss that counts as one, and of how many motors at most: more is a disturbance
 
@@ -190,7 +192,8 @@ class Estimator:
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(len(command)), self._onset.start()
-        rate = self._learning_rate(time_s, state.started_s, suspicious_since)
+        sure = best is not None and best.explained > _SURE_EXPLAINED
+        rate = self._learning_rate(time_s, state.started_s, suspicious_since, sure)
         explained = self._explained(effectiveness, decision.failed) if o.identify else None
         rest = raw if explained is None else raw - matrix @ (filtered.weight * explained)
         disturbance = self._disturbance.step(state.disturbance, basis, rest, dt_s, rate, allocation_norm)
@@ -252,8 +255,9 @@ class Estimator:
         return np.where(failed, effectiveness, np.where(low & few, loss, 0.0))
 
     @staticmethod
-    def _learning_rate(time_s: float, started_s: float, suspicious_since_s: float | None) -> float:
-        """Speed of learning the disturbance: fast after the start, frozen while a failure is being weighed."""
+    def _learning_rate(time_s: float, started_s: float, suspicious_since_s: float | None, sure: bool) -> float:
+        """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
         if suspicious_since_s is not None:
-            return 0.0 if time_s - suspicious_since_s < _FREEZE_MAX_S else 0.3
+            longest = _FREEZE_SURE_S if sure else _FREEZE_MAX_S
+            return 0.0 if time_s - suspicious_since_s < longest else 0.3
         return _LEARN_FAST_RATE if time_s - started_s < _LEARN_FAST_S else 1.0
