@@ -42,6 +42,7 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     mode: ModeName = "allocate"
     allocation: str = "trim"
+    law: Literal["baseline", "nf", "b", "eff", "nff"] = "nff"
     status_socket: str = ""
     state_folder: str = ""
 
@@ -57,7 +58,10 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def pipeline_options(self) -> PipelineOptions:
         """Options of the pipeline that this file asks for."""
         return PipelineOptions(
-            mode=MODES[self.companion.mode], allocation=self.companion.allocation, estimator=self.estimator
+            mode=MODES[self.companion.mode],
+            allocation=self.companion.allocation,
+            law=self.companion.law,
+            estimator=self.estimator,
         )
 
 

@@ -260,9 +260,9 @@ class Pipeline:
 
     @staticmethod
     def _motion(sample: Sample) -> Motion | None:
-        """What the basis network looks at; None where it is not known."""
+        """What the basis network looks at; None where it is not known: garbage would stay in a for the whole flight."""
         velocity, quaternion = sample.velocity_m_s, sample.quaternion
-        if velocity is None or quaternion is None or not math.isfinite(float(velocity.sum() + quaternion.sum())):
+        if velocity is None or quaternion is None or not sample.moves_plausibly:
             return None
         return Motion(velocity, quaternion)
 
@@ -366,6 +366,8 @@ class Pipeline:
     def _doing(self) -> str:
         if self.mode == Mode.OBSERVE:
             return "observing"
+        if not self.law.identify:
+            return f"law {self.options.law}: no motor is watched"
         if self._planner.plan is None:
             return "all motors healthy"
         failed = [int(i) + 1 for i in np.flatnonzero(self._failed)]

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+_SPEED_MAX_M_S = 200.0  # beyond what a vehicle flies: a fault of the estimate or of the link
+
 
 @dataclass(slots=True)
 class Sample:
@@ -32,3 +34,13 @@ class Sample:
     thrust: np.ndarray | None = None  # (m,)
     rotor_speed_rad_s: np.ndarray | None = None  # (m,) NaN: no reading
     rotor_speed_time_s: np.ndarray | None = None  # (m,) when each was read
+
+    @property
+    def moves_plausibly(self) -> bool:
+        """Attitude and velocity are there, finite, and those of a vehicle."""
+        q, velocity = self.quaternion, self.velocity_m_s
+        if q is None or velocity is None:
+            return False
+        # Comparisons with NaN are false. Components first: the square of a large one would overflow.
+        unit = float(np.abs(q).max()) < 2.0 and abs(float(q @ q) - 1.0) < 0.05
+        return unit and float(np.abs(velocity).max()) <= _SPEED_MAX_M_S

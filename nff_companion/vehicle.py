@@ -146,6 +146,11 @@ class Vehicle:
         return self.effectiveness_si / scale[:, None]
 
     @cached_property
+    def thrust_norm(self) -> float:
+        """Length of the thrust row of ``acceleration_effectiveness``, m/s^2."""
+        return float(np.linalg.norm(self.acceleration_effectiveness[THRUST]))
+
+    @cached_property
     def row_scale(self) -> np.ndarray:
         """(n,) sum of the positive entries of each row of B0 in SI: what 1 means in normalised units."""
         return np.maximum(self.effectiveness_si, 0.0).sum(axis=1)

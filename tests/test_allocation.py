@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from nff_companion import vehicle
-from nff_companion.allocation import METHODS, allocator, authority, problem_for
+from nff_companion.allocation import METHODS, allocator, authority, problem_for, within_bounds
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.allocation.problem import normalised_columns
 from nff_companion.allocation.verify import fault_of
@@ -210,3 +210,17 @@ def test_desaturation_cuts_yaw_first_and_stays_within_bounds(octo: Vehicle, rng:
     assert served[1] == pytest.approx(0.3)
     assert abs(served[3]) < 0.9
     assert (octo.effectiveness @ thrust)[1] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_solver_that_fails_leaves_thrusts_within_bounds(
+    octo: Vehicle, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    problem = problem_for(octo.effectiveness, np.array([0.0, 1, 1, 1, 1, 1, 1, 1]), octo.hover)
+    matrix, b = allocator("trim")(problem), problem.effectiveness
+    for answer, flag in ((np.full(7, np.nan), 1), (np.full(7, 9.0), -1)):
+        monkeypatch.setattr(within_bounds.daqp, "solve", lambda *_, a=answer, f=flag: (a, 0.0, f, {}))
+        for _ in range(50):
+            thrust, _ = constrain(matrix, b, rng.uniform(-3, 3, 4))
+            assert thrust.min() >= 0.0
+            assert thrust.max() <= 1.0
+            assert thrust[0] == 0.0

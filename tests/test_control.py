@@ -64,3 +64,19 @@ def test_the_push_of_a_leaning_hover_is_where_it_leans(octo: Vehicle) -> None:
     push = steady_push(lean, np.array([0, 0, -9.8]))
     assert push[0] == pytest.approx(9.8 * math.sin(0.1), rel=1e-6)
     assert push[1:].tolist() == [0.0, 0.0]
+
+
+def test_whatever_is_measured_or_believed_the_attitude_wanted_is_upright(
+    octo: Vehicle, rng: np.random.Generator
+) -> None:
+    law = ControlLaw(octo)
+    for _ in range(2000):
+        quaternion = rng.standard_normal(4)
+        quaternion /= np.linalg.norm(quaternion)
+        state = State(*(rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0)), quaternion, rng.uniform(-60, 60, 3))
+        wild = Knowledge(rng.uniform(-50, 50, 4), rng.uniform(-400, 400, 2))
+        reference = Reference(*(rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0)), 1.0, rng.uniform(-50, 50, 3))
+        asked, memory = law.demand(state, reference, Memory.empty(), wild, 0.005)
+        assert np.isfinite(asked).all()
+        assert memory.desired is not None
+        assert memory.desired[2][2] >= math.cos(math.radians(30.1)), "body z points down within the largest tilt"

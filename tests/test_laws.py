@@ -23,7 +23,7 @@ def test_each_law_flies_a_lost_motor_in_hover(law: str) -> None:
     fleet.faults.add(Fault(vehicle=0, motor=3, start_s=3.0))
     flight = VirtualFlight(
         fleet,
-        {0: PipelineOptions(mode=Mode.OVERRIDE, law=law)},  # type: ignore[arg-type]
+        {0: PipelineOptions(mode=Mode.OVERRIDE, law=law)},
         airframe="octo-x",
         thrust_to_weight=None,
         rate_hz=200.0,

@@ -131,6 +131,17 @@ def test_garbage_and_unknown_names_are_refused_with_a_hint(tmp_path: Path) -> No
             phi.load(phi.path_of(choice))
 
 
+def test_a_file_cut_short_is_refused_and_saving_leaves_nothing_else(basis: phi.Basis, tmp_path: Path) -> None:
+    path = tmp_path / "network.npz"
+    basis.save(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["network.npz"]
+    whole = path.read_bytes()
+    for size in (0, 100, len(whole) // 2, len(whole) - 10):
+        path.write_bytes(whole[:size])
+        with pytest.raises(NetworkError, match="train it again"):
+            phi.load(path)
+
+
 def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) -> None:
     velocity, lateral, rate = rng.standard_normal(3), rng.standard_normal(2), rng.standard_normal(3)
     tilt = np.array([math.cos(0.1), math.sin(0.1), 0.0, 0.0])

@@ -277,3 +277,49 @@ def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
     assert outputs[0].rejected == 1
     assert "out of luck" in outputs[0].reason
     assert outputs[-1].plan is not None
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        {"velocity_m_s": np.full(3, 1e308)},
+        {"velocity_m_s": np.array([0.0, math.nan, 0.0])},
+        {"quaternion": np.array([1e200, 1e200, 0.0, 0.0])},
+        {"quaternion": np.zeros(4)},
+        {"quaternion": np.array([math.inf, 0.0, 0.0, 0.0])},
+    ],
+    ids=["huge-velocity", "nan-velocity", "huge-attitude", "no-attitude", "infinite-attitude"],
+)
+def test_a_garbage_state_reaches_neither_the_network_nor_a_motor(recorded: list[Sample], garbage: dict) -> None:
+    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
+    assert pipeline.network is not None
+    with np.errstate(all="raise"):
+        for sample in recorded[900:920]:
+            bad = dataclasses.replace(sample, **garbage)
+            answer = pipeline.respond(bad)
+            assert answer is None
+            output = pipeline.step(bad, answer)
+            assert output.mode == Mode.ALLOCATE
+            assert "not those of a vehicle" in output.reason
+    outputs = [pipeline.step(s, pipeline.respond(s)) for s in recorded[920:1000]]
+    assert outputs[-1].mode == Mode.OVERRIDE
+    assert outputs[-1].estimate is not None
+    assert np.isfinite(outputs[-1].estimate.disturbance).all()
+    assert not any(o.events for o in outputs)
+
+
+def test_a_residual_that_is_not_finite_starts_the_estimate_anew(recorded: list[Sample]) -> None:
+    pipeline, _ = run(recorded[:900])
+    assert pipeline._state is not None
+    pipeline._state.disturbance.adaptation.a[:] = math.nan
+    output = pipeline.step(recorded[900])
+    assert output.mode == Mode.OBSERVE
+    assert "not finite" in output.reason
+    outputs = [pipeline.step(s) for s in recorded[901:1100]]
+    assert outputs[-1].reason == "all motors healthy"
+
+
+def test_a_law_that_watches_no_motor_says_so(recorded: list[Sample]) -> None:
+    pipeline = Pipeline(vehicle.load("octo-x"), RATE, PipelineOptions(law="nf"))
+    outputs = [pipeline.step(s) for s in recorded[:900]]
+    assert outputs[-1].reason == "law nf: no motor is watched"

@@ -15,9 +15,8 @@ from nff_companion.learning.score import score
 from nff_companion.vehicle import Vehicle
 
 pytestmark = pytest.mark.train
-pytest.importorskip("torch", reason="the extra train is not installed: NO NETWORK WAS TRAINED")
-
-from nff_companion.learning.daiml import Trainer, TrainingOptions  # noqa: E402
+daiml = pytest.importorskip("nff_companion.learning.daiml", reason="NO NETWORK WAS TRAINED", exc_type=ImportError)
+Trainer, TrainingOptions = daiml.Trainer, daiml.TrainingOptions
 
 OPTIONS = TrainingOptions(iterations=200, hidden=(24, 24), functions=4, checkpoint_every=80)
 

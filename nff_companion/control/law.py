@@ -18,6 +18,7 @@ from nff_companion.vehicle import GRAVITY_M_S2, Vehicle
 _TILT_MAX_RAD = math.radians(30.0)
 _POSITION_ERROR_MAX_M = 4.0
 _VERTICAL_MAX_M_S2 = 4.0
+_DRAG_MAX_M_S2 = 5.0  # along each axis: more is no air, but a blow or a fault of the sensor
 _INTEGRAL_PER_S = 0.35
 _INTEGRAL_MAX_M_S2 = 3.0
 _TORQUE_INTEGRAL_PER_S = 1.5  # of the attitude loop's stiffness: about that of the autopilots' rate loops
@@ -197,7 +198,7 @@ class ControlLaw:
         """Demand (n,) in normalised units, and the new memory."""
         body = _axes(state.quaternion)
         push, gathered = self._push(state, reference, memory.push_m_s2, dt_s)
-        dx, dy = knowledge.push_m_s2.tolist()
+        dx, dy = (_clip(value, _DRAG_MAX_M_S2) for value in knowledge.push_m_s2.tolist())
         drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
         push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
         specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(knowledge.residual[0])
@@ -270,8 +271,9 @@ class ControlLaw:
 
 
 def _within_tilt(push: Vector) -> Vector:
-    """Specific force (3,) NED, its horizontal part cut to the largest tilt."""
+    """Specific force (3,) NED, upward whatever was asked for, its horizontal part cut to the largest tilt."""
     north, east, vertical = push
+    vertical = min(vertical, _VERTICAL_MAX_M_S2 - GRAVITY_M_S2)
     lateral = math.hypot(north, east)
     lateral_max = -vertical * math.tan(_TILT_MAX_RAD)
     if lateral > lateral_max:

@@ -41,8 +41,8 @@ class OverrideLoop:
         if q is None or position is None or velocity is None:
             self.blind = "override needs fresh attitude, position and velocity: allocating instead"
             return None
-        if not math.isfinite(float(q.sum() + position.sum() + velocity.sum())):
-            self.blind = "override: attitude or position not finite: allocating instead"
+        if not (sample.moves_plausibly and math.isfinite(float(position.sum()))):
+            self.blind = "override: attitude, velocity or position not those of a vehicle: allocating instead"
             return None
         if self._hold is None:
             yaw = float(np.arctan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
+from nff_companion.errors import SolverError
 from nff_companion.estimation import hypotheses, sparse
 from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Event, Hypothesis
 from nff_companion.estimation.disturbance import (
@@ -166,6 +168,8 @@ class Estimator:
         basis = self._disturbance.basis(state.disturbance, seen)
         expected = self._disturbance.predict(state.disturbance, basis)
         residual = raw - expected
+        if not math.isfinite(float(residual.sum())):
+            raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
         weight = self._disturbance.weight(state.disturbance)
 
         regressor = matrix * filtered.weight

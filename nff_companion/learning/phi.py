@@ -8,6 +8,7 @@ The residual of axis i in SI is  y_i = axis_scale_i * (phi a)_i.
 from __future__ import annotations
 
 import json
+import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -18,7 +19,7 @@ import numpy as np
 
 from nff_companion.errors import NetworkError
 from nff_companion.learning.features import COMMAND, NAMES
-from nff_companion.vehicle import THRUST, Vehicle
+from nff_companion.vehicle import Vehicle
 
 FORMAT = 1
 # What (6.8) may amount to at the nominal allocation, and in flight with the allocation then in force.
@@ -89,7 +90,7 @@ class Basis:
 
     def lipschitz_u(self, vehicle: Vehicle) -> float:
         """Lip_u(phi): the same per thrust fraction of the motors."""
-        return self.lipschitz_command * float(np.linalg.norm(vehicle.acceleration_effectiveness[THRUST]))
+        return self.lipschitz_command * vehicle.thrust_norm
 
     def contraction(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> float:
         """Left side of (6.8), sigma(A) Lip_u(phi) |a|, in the normalised units of A; below 1 the law's fixed point
@@ -107,15 +108,17 @@ class Basis:
         return out
 
     def save(self, path: Path) -> None:
-        """Write the file that ``load`` reads."""
+        """Write the file that ``load`` reads; whoever is killed meanwhile leaves the old one."""
         arrays: dict[str, np.ndarray] = {}
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight_{index}"], arrays[f"bias_{index}"] = weight, bias
         for name in ("mean", "scale", "low", "high", "axis_scale", "prior"):
             arrays[name] = getattr(self, name)
         compact = {name: value.astype(np.float32) for name, value in arrays.items()}
-        text = json.dumps(self.metadata, sort_keys=True)
-        np.savez(path, metadata=np.array(text), **compact)  # type: ignore[arg-type]
+        compact["metadata"] = np.array(json.dumps(self.metadata, sort_keys=True))
+        partial = path.with_suffix(".part.npz")
+        np.savez(partial, allow_pickle=False, **compact)
+        partial.replace(path)
 
 
 def load(path: Path) -> Basis:
@@ -132,7 +135,7 @@ def load(path: Path) -> Basis:
             metadata=metadata,
             **{name: numbers[name] for name in ("mean", "scale", "low", "high", "axis_scale", "prior")},
         )
-    except (OSError, KeyError, ValueError, EOFError) as error:
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise NetworkError(f"network {path} cannot be read: {error}; train it again with nff train") from error
     fault = _fault_of(basis, numbers)
     if fault:
@@ -142,6 +145,8 @@ def load(path: Path) -> Basis:
 
 def _fault_of(basis: Basis, numbers: dict[str, np.ndarray]) -> str | None:
     metadata = basis.metadata
+    if not isinstance(metadata, dict):
+        return "its metadata are not a table"
     if metadata.get("format") != FORMAT:
         return f"format {metadata.get('format')!r}, expected {FORMAT}"
     if metadata.get("inputs") != list(NAMES):
