@@ -5,9 +5,15 @@
     b           u = Bhat^R (-K e + x_d' - f)                    (6.16)  full matrix adaptation
     eff         u = (B0 Hhat)^R (-K e + x_d' - f)               (6.17)  sparse effectiveness alone
     nff         u = (B0 Hhat)^R (-K e + x_d' - f - phi a)       (6.18)  both: what flies
-    omniscient  as nff, but eta is told, not found
+    omniscient  as nff, but the failure is told at its moment, not found
 
-K, its integrals among it, is the same for all.
+K, its integrals among it, is the same for all. Where ours differ from the published ones:
+
+- eff searches for failures in y less a constant phi a, which is not fed forward. Without it a steady wind is a loss.
+- y covers thrust and torques. The lateral force, which no motor can give, is not learnt but measured, and fed forward
+  by the laws that learn (``PipelineOptions.feed_lateral``; flown both ways in docs/learning.md).
+- The right inverse is the pseudo-inverse for b, whose Bhat changes at every sample; for eff, nff and omniscient it is
+  the allocation that flies. nf and omniscient look for no motor, so that their phi a may explain any size of residual.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 LawName = Literal["baseline", "nf", "b", "eff", "nff", "omniscient"]
+LateralFeed = Literal["learning", "always", "never"]  # by the laws that learn; by all; by none
 
 
 @dataclass(frozen=True, slots=True)

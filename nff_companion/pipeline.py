@@ -25,7 +25,7 @@ from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOpt
 from nff_companion.estimation.full_matrix import FullMatrixOptions
 from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
-from nff_companion.laws import LAWS, LawName
+from nff_companion.laws import LAWS, LateralFeed, LawName
 from nff_companion.learning import phi
 from nff_companion.telemetry import Sample
 from nff_companion.vehicle import TelemetryTable, Vehicle
@@ -51,6 +51,7 @@ class PipelineOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     estimator: EstimatorOptions = EstimatorOptions()
     flight_phase: FlightPhaseOptions = FlightPhaseOptions()
     law: LawName = "nff"
+    feed_lateral: LateralFeed = "learning"
     planner: PlannerOptions = PlannerOptions()
     full_matrix: FullMatrixOptions = FullMatrixOptions()  # of the law b
     gap_max_s: float = 0.1  # without a sample: the estimate starts anew
@@ -106,7 +107,7 @@ class Pipeline:
         self.fault = ""  # why the estimator itself failed; empty again when it has worked for a while
         self.last: Output | None = None
         self._none = np.zeros(n)
-        self._knowledge = Knowledge.none(n)
+        self._knowledge = self._nothing = Knowledge.none(n)
         self.bad_samples = 0
 
     def _make_estimator(self) -> Estimator:
@@ -244,12 +245,21 @@ class Pipeline:
         self._trouble = "" if time_s - self._good_since_s >= self.options.recover_s else "recovering"
         if not self._trouble:
             self.fault = ""
-        if self.law.learn:
-            self._knowledge = Knowledge(estimate.disturbance, estimate.push)
+        self._knowledge = self._known(estimate)
         if self._adapted is not None:
             self._adapted.step(estimate, gap)
         self._planner.step(time_s, estimate)
         return self._output(time_s, estimate, estimate.events, override)
+
+    def _known(self, estimate: Estimate) -> Knowledge:
+        """What is fed forward by the law and the options chosen."""
+        feed = self.options.feed_lateral
+        lateral = feed == "always" or (feed == "learning" and self.law.learn)
+        nothing = self._nothing
+        return Knowledge(
+            estimate.disturbance if self.law.learn else nothing.residual,
+            estimate.push if lateral else nothing.push_m_s2,
+        )
 
     def _stopped(self, sample: Sample, command: np.ndarray) -> np.ndarray | None:
         """(m,) bool: motors that stand still by their rotor speeds; None where no speeds come."""
@@ -306,6 +316,8 @@ class Pipeline:
         self._failed = np.zeros_like(self._failed)
         self._planner.forget()
         self._loop.release()
+        if self._adapted is not None:
+            self._adapted.restart()
 
     # -- override -----------------------------------------------------------------------------------------------
 

@@ -66,7 +66,7 @@ class Aerodynamics:
         dx, dy = self._ahead
         distance = c * dx + s * dy  # [n, j, i] of rotor j ahead of rotor i, along the stream
         offset = c * dy - s * dx
-        sink = ((np.sqrt(induced_squared) + air[:, 2]) / speed)[:, None, None]  # descending (z down) lifts the wake
+        sink = ((np.sqrt(induced_squared) - air[:, 2]) / speed)[:, None, None]  # descending (z down) lifts the wake
         r = p.rotor_radius_m
         depth = distance * sink / (_WAKE_DEPTH_RADII * r)
         hit = np.exp(-(depth**2) - (offset / r) ** 2) * (distance > _BEHIND_RADII * r)

@@ -48,6 +48,19 @@ def test_the_wake_sinks_below_the_rear_rotors_when_flying_slowly(parameters) -> 
     assert lost(2.0) < 0.2 * lost(10.0)
 
 
+def test_climbing_and_a_lowered_nose_lift_the_rear_rotors_out_of_the_wake(parameters) -> None:
+    def lost(x: float, z: float) -> float:
+        thrust = Aerodynamics(parameters).rotor_thrust(HOVER, wind(x, 0.0, z), HIGH)[0]
+        return float(1.0 - thrust.min() / thrust.max())
+
+    # The wake sinks through the air at the induced velocity; z points down: climbing, air_z < 0, leaves it below.
+    for speed in (5.0, 10.0):
+        assert lost(speed, -2.0) < lost(speed, -1.0) < lost(speed, 0.0) < lost(speed, 1.0)
+    # 7.5 m/s through the air with the nose 10 degrees down, against as much up (braking).
+    c, s = 7.5 * np.cos(np.radians(10)), 7.5 * np.sin(np.radians(10))
+    assert lost(c, -s) < 0.6 * lost(c, s)
+
+
 def test_the_ground_carries_and_the_wind_blows_the_cushion_away(parameters) -> None:
     air = Aerodynamics(parameters)
     low = [air.rotor_thrust(HOVER, wind(0), np.array([h]))[0, 0] for h in (0.0, 0.2, 0.6)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PURE = ("estimation", "allocation", "control")
+PURE = ("estimation", "allocation", "control", "learning")
 IMPURE = {
     "socket",
     "select",
@@ -65,7 +65,7 @@ def test_the_pipeline_knows_no_socket_and_no_clock(name: str) -> None:
     assert {n for n in names if n.startswith(("nff_companion.link", "nff_companion.autopilots", "sitl"))} == set()
 
 
-@pytest.mark.parametrize("room", ["link", "autopilots", "estimation", "allocation", "control", "replay"])
+@pytest.mark.parametrize("room", ["link", "autopilots", "estimation", "allocation", "control", "learning", "replay"])
 def test_only_trials_and_commands_know_the_emulated_vehicle(room: str) -> None:
     for path in files(f"nff_companion/{room}"):
         assert not {n for n in imports(path) if n.split(".")[0] == "sitl"}, path

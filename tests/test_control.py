@@ -80,3 +80,11 @@ def test_whatever_is_measured_or_believed_the_attitude_wanted_is_upright(
         assert np.isfinite(asked).all()
         assert memory.desired is not None
         assert memory.desired[2][2] >= math.cos(math.radians(30.1)), "body z points down within the largest tilt"
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_what_is_known_of_an_axis_is_taken_off_in_full(octo: Vehicle, axis: int) -> None:
+    """(6.18): the demand falls by phi a, in the demand's units, on each axis alike."""
+    known = np.eye(4)[axis]
+    expected = -octo.normalised_per_acceleration[axis] * known
+    np.testing.assert_allclose(demand(octo, disturbance=known) - demand(octo), expected, atol=1e-12)

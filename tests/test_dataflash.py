@@ -46,3 +46,10 @@ def test_a_log_of_another_airframe_or_of_nothing_is_refused(tmp_path: Path) -> N
     junk.write_bytes(b"\x00" * 4096)
     with pytest.raises(LogError):
         read(junk, vehicle.load("octo-x"))
+
+
+def test_a_flight_of_quite_another_vehicle_is_not_trained_on() -> None:
+    wrong = vehicle.load("h250")
+    _, rows = read(LOG, wrong)
+    with pytest.raises(LogError, match="check airframe"):
+        record(wrong, 25.0, [s for _, s in rows], "flight.bin")

@@ -7,6 +7,7 @@ import pytest
 from scipy import optimize, signal
 
 from nff_companion.estimation import hypotheses, sparse
+from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Hypothesis
 from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
 from nff_companion.estimation.filters import LowPass, lag_share, loss_response
 from nff_companion.estimation.neural_fly import AdaptationOptions
@@ -311,3 +312,28 @@ def test_a_joint_estimate_is_the_marginal_over_a_constant_error_of_the_disturban
         vector += regressor.T @ np.linalg.solve(covariance, y[-count:, axis])
     np.testing.assert_allclose(together.matrix[row], matrix, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(together.vector[row], vector, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("motors", "loss", "age_s", "declared"),
+    [
+        ((3,), (-0.70,), 0.065, True),  # still spinning down: its loss is not known well
+        ((3,), (-0.70,), 0.2, False),
+        ((3,), (-0.90,), 0.2, True),
+        ((3, 5), (-0.70, -0.72), 0.065, False),  # partly lost, two motors can look like any gust
+        ((3, 5), (-0.70, -0.95), 0.065, True),
+        ((3, 5), (-0.50, -1.00), 0.2, False),
+    ],
+)
+def test_how_large_a_loss_must_be_depends_on_how_well_it_is_known(
+    octo: Vehicle, motors: tuple[int, ...], loss: tuple[float, ...], age_s: float, declared: bool
+) -> None:
+    decision = Decision(octo.motors, octo.axes, DecisionOptions())
+    state = DecisionState.start(octo.motors)
+    best = Hypothesis(motors, loss, improvement=60.0, margin=20.0, explained=0.95, age_s=age_s)
+    ones = np.ones(octo.motors)
+    for k in range(20):
+        state, events = decision.step(state, 0.005 * k, best, ones, 0.1 * ones, 0.4 * ones)
+        if events:
+            break
+    assert [e.motor - 1 for e in events] == (list(motors) if declared else [])

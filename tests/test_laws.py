@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import msgspec
 import numpy as np
 import pytest
 
 from nff_companion import vehicle
 from nff_companion.errors import NetworkError
 from nff_companion.estimation.estimator import EstimatorOptions
+from nff_companion.estimation.neural_fly import AdaptationOptions
 from nff_companion.laws import LAWS
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.trials.demo import DemoOptions, make_fleet
+from nff_companion.trials.paper import figures
 from nff_companion.trials.paper.figures import AXES, document
-from nff_companion.trials.paper.scenario import GROUPS, Case, PaperOptions, fly, variants
+from nff_companion.trials.paper.scenario import AFTER_S, GROUPS, Case, PaperOptions, Trace, fly, variants
 from nff_companion.trials.virtual import VirtualFlight
 from sitl.faults import Fault
 
@@ -74,3 +81,112 @@ def test_every_variant_is_a_pipeline_of_the_same_law() -> None:
     for name, options in variants().items():
         pipeline = Pipeline(vehicle.load("paper-octo"), 200.0, options)
         assert (pipeline.network is None) == (name == "no-phi")
+
+
+def trace(error_deg: float, error_m: float, *, until_s: float = AFTER_S, seed: int = 1, law: str = "nff") -> Trace:
+    """A flight with constant errors that ends at ``until_s``."""
+    at = np.arange(-1.0, until_s, 0.005)
+    rows = len(at)
+    return Trace(
+        case=Case(law, "outer", seed),
+        time_s=at,
+        attitude_error_deg=np.full((rows, 3), error_deg),
+        position_error_m=np.full(rows, error_m),
+        effectiveness=np.ones((rows, 8)),
+        named=[],
+        delay_s=None,
+        crashed=until_s < AFTER_S,
+    )
+
+
+@pytest.mark.parametrize("until_s", [-2.0, -0.5, 0.6, 7.0])
+def test_a_crash_is_never_a_gain(until_s: float) -> None:
+    crashed = trace(2.0, 0.1, until_s=until_s)
+    flown = trace(40.0, 5.0)
+    assert np.array_equal(figures.peak_deg(crashed), np.full(3, 90.0))
+    assert figures.mean_position_error_m(crashed) > figures.mean_position_error_m(flown) == pytest.approx(5.0)
+    assert np.isfinite(figures.attitude_curve_deg(crashed)).all()
+    assert np.isfinite(figures.position_error_before_m(crashed))
+
+
+def test_moments_without_a_closed_loop_are_no_error_and_a_flight_of_them_a_crash() -> None:
+    flight = trace(3.0, 0.1)
+    flight.attitude_error_deg[250:260] = np.nan
+    assert figures.peak_deg(flight).tolist() == [3.0] * 3
+    flight.attitude_error_deg[:] = np.nan
+    assert figures.peak_deg(flight).tolist() == [90.0] * 3
+
+
+def test_intervals_hold_the_mean_of_all_seeds_and_shrink_with_the_spread(rng: np.random.Generator) -> None:
+    bootstrap = figures.Bootstrap(20)
+    values = 5.0 + rng.standard_normal(20)
+    low, high = figures.interval(bootstrap.means(values))
+    assert low < values.mean() < high
+    expected = 1.96 * values.std() / np.sqrt(20)
+    assert (high - low) / 2 == pytest.approx(expected, rel=0.1)
+    curves = rng.standard_normal((20, 7, 3))
+    assert bootstrap.means(curves).shape[1:] == (7, 3)
+    np.testing.assert_allclose(bootstrap.means(curves).mean(axis=0), curves.mean(axis=0), atol=0.02)
+
+
+def test_the_gap_closed_and_the_change_against_baseline_are_what_they_say() -> None:
+    errors = {"baseline": (10.0, 2.0), "nff": (4.0, 0.5), "omniscient": (2.0, 0.4)}
+    traces = [
+        dataclasses.replace(trace(*error), case=Case(law, group, seed))
+        for law, error in errors.items()
+        for group in GROUPS
+        for seed in (1, 2, 3)
+    ]
+    result = figures.document(traces)
+    assert result["gap_closed"]["inner"]["yaw"] == pytest.approx(0.75)
+    assert result["gap_closed_of_mean_curve"]["outer"]["share"]["roll"] == pytest.approx(0.75)
+    assert result["against_baseline"]["nff"]["outer"]["position_error_change"] == pytest.approx(-0.75)
+    assert result["intervals"]["nff"]["position_error_before_m"][0] == pytest.approx(0.5)
+    json.dumps(result, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("feed", "law", "fed"),
+    [
+        ("learning", "nff", True),
+        ("learning", "baseline", False),
+        ("always", "baseline", True),
+        ("never", "nff", False),
+    ],
+)
+def test_the_lateral_force_is_fed_forward_to_whom_the_option_says(feed, law: str, fed: bool) -> None:
+    options = PipelineOptions(mode=Mode.OVERRIDE, law=law, feed_lateral=feed)
+    flight = VirtualFlight(
+        make_fleet(DemoOptions(failures=[], wind_m_s=6.0)),
+        {0: options},
+        airframe="octo-x",
+        thrust_to_weight=None,
+        rate_hz=200.0,
+        link_delay_s=0.01,
+    )
+    while flight.fleet.time_s < 4.0:
+        flight.step()
+    known = flight.companions[0].pipeline._knowledge
+    assert bool(known.push_m_s2.any()) == fed
+    assert bool(known.residual.any()) == (law == "nff")
+
+
+def test_the_next_flight_begins_without_the_adapted_matrix() -> None:
+    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions(law="b"))
+    adapted = pipeline._adapted
+    assert adapted is not None
+    nominal = adapted.allocation(np.zeros((8, 4)))
+    lost = -0.5 * pipeline.vehicle.acceleration_effectiveness[:, 2] * pipeline.vehicle.hover
+    for _ in range(200):
+        adapted.step(SimpleNamespace(weight=np.full(8, pipeline.vehicle.hover), raw=lost), 0.005)
+    assert not np.allclose(adapted.allocation(nominal), nominal)
+    pipeline._forget()
+    np.testing.assert_allclose(adapted.allocation(np.zeros((8, 4))), nominal)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"follow_s": 0.0}, {"follow_s": -1.0}, {"forget_per_s": 1000.0}, {"composite": -1.0}]
+)
+def test_an_adaptation_that_would_run_away_is_refused(wrong: dict) -> None:
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert(wrong, AdaptationOptions)

@@ -63,3 +63,18 @@ def test_the_covariance_stays_definite_at_any_rate(rng: np.random.Generator) -> 
         state = adaptation.step(state, 30.0 * rng.standard_normal(K), rng.standard_normal(N), rng.uniform(0.001, 0.1))
         assert np.linalg.eigvalsh(state.covariance).min() > 0.0
     assert np.isfinite(state.a).all()
+
+
+def test_functions_that_a_flight_does_not_excite_gather_no_variance_for_ever() -> None:
+    """Twenty minutes of hover, then forward flight: one sample may not take a large part of the innovation."""
+    adaptation = Adaptation(np.zeros((K, N)), AdaptationOptions())
+    state = adaptation.start()
+    fresh = float(state.covariance.trace())
+    hover, forward = np.eye(K)[-1], np.ones(K)
+    for _ in range(20 * 60 * 50):
+        state = adaptation.step(state, hover, np.ones(N), 0.02)
+    assert float(state.covariance.trace()) <= 2.0 * fresh
+    np.testing.assert_allclose(hover @ state.a, 1.0, atol=1e-3)
+    before = forward @ state.a
+    state = adaptation.step(state, forward, before + 1.0, 0.005)
+    assert float(np.abs(forward @ state.a - before).max()) < 0.05

@@ -13,6 +13,7 @@ from msgspec import convert
 
 from nff_companion import vehicle as vehicle_model
 from nff_companion.errors import NetworkError
+from nff_companion.estimation.disturbance import Disturbance
 from nff_companion.learning import phi
 from nff_companion.learning.features import COMMAND, NAMES, features
 from nff_companion.learning.score import Score
@@ -162,3 +163,24 @@ def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) ->
     np.testing.assert_allclose(seen[2], seen[0], atol=1e-12)
     assert len(seen[0]) == len(NAMES)
     assert seen[0][6] > 0.1, "rolled right: gravity points to the right"
+
+
+def test_without_attitude_or_velocity_phi_fades_into_the_constant(basis: phi.Basis, octo: Vehicle, rng) -> None:
+    disturbance = Disturbance(octo, basis)
+    state = disturbance.start()
+    known = disturbance.basis(state, rng.uniform(-2, 2, len(NAMES)), 0.005)
+    state = dataclasses.replace(state, basis=known)
+    for _ in range(2000):
+        faded = disturbance.basis(state, None, 0.005)
+        assert float(np.abs(faded - state.basis).max()) <= 0.003 * float(np.abs(known - np.eye(6)[-1]).max())
+        state = dataclasses.replace(state, basis=faded)
+    np.testing.assert_allclose(state.basis, np.eye(6)[-1], atol=0.01 * float(np.abs(known).max()))
+
+
+def test_a_is_within_the_bound_even_while_nothing_is_learnt(basis: phi.Basis, octo: Vehicle) -> None:
+    """The bound falls when motors are declared, which is when learning rests."""
+    disturbance = Disturbance(octo, basis)
+    state = disturbance.start()
+    norm = 5.0 / basis.contraction(basis.prior, octo, 1.0)
+    after = disturbance.step(state, state.basis, np.zeros(4), 0.005, 0.0, norm)
+    assert basis.contraction(state.adaptation.a, octo, norm) > 1.0 > basis.contraction(after.adaptation.a, octo, norm)

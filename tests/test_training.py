@@ -16,7 +16,7 @@ from nff_companion.vehicle import Vehicle
 
 pytestmark = pytest.mark.train
 daiml = pytest.importorskip("nff_companion.learning.daiml", reason="NO NETWORK WAS TRAINED", exc_type=ImportError)
-Trainer, TrainingOptions = daiml.Trainer, daiml.TrainingOptions
+torch, Trainer, TrainingOptions = daiml.torch, daiml.Trainer, daiml.TrainingOptions
 
 OPTIONS = TrainingOptions(iterations=200, hidden=(24, 24), functions=4, checkpoint_every=80)
 
@@ -34,8 +34,6 @@ def flights(count: int = 4, seed: int = 3) -> Dataset:
 
 
 def test_the_exported_network_is_the_trained_one(tmp_path: Path, rng: np.random.Generator) -> None:
-    import torch
-
     trainer = Trainer(flights(), OPTIONS, "cpu")
     trainer.run()
     basis = trainer.basis({"airframe": "test", "command": "nff train --airframe test"})
@@ -117,3 +115,31 @@ def test_a_long_flight_is_several_conditions() -> None:
 def test_a_log_without_flight_says_what_it_lacks(octo: Vehicle) -> None:
     with pytest.raises(LogError, match="LOCAL_POSITION_NED"):
         record(octo, 200.0, [], "empty.ulg")
+
+
+def test_a_checkpoint_that_cannot_be_read_says_so(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.checkpoint"
+    for garbage in (b"", b"not a checkpoint", b"PK\x03\x04 cut"):
+        checkpoint.write_bytes(garbage)
+        with pytest.raises(ConfigError, match="begin anew"):
+            Trainer(flights(), OPTIONS, "cpu").run(checkpoint)
+
+
+def test_functions_that_hardly_move_are_left_out() -> None:
+    trainer = Trainer(flights(), OPTIONS, "cpu")
+    with torch.no_grad():
+        last = [layer for layer in trainer.phi if hasattr(layer, "weight")][-1]
+        last.weight[1:3] = 0.0
+    basis = trainer.basis({})
+    assert basis.functions <= OPTIONS.functions - 2 + 1
+    values = np.array([basis(row)[:-1] for c in flights().conditions for row in c.features])
+    np.testing.assert_allclose(np.cov(values.T), np.eye(basis.functions - 1), atol=1e-3)
+
+
+def test_a_slow_log_is_scored_at_its_own_rate(octo: Vehicle) -> None:
+    whole = Condition("25 Hz", *(getattr(flights(1).conditions[0], n) for n in ("features", "residual")), 25.0)
+    assert Dataset([whole]).minutes == pytest.approx(600 / 25 / 60)
+    trainer = Trainer(flights(), OPTIONS, "cpu")
+    result = score(octo, trainer.basis({}), Dataset([whole]))
+    assert result.minutes == pytest.approx(0.4)
+    assert result.fast_constant_follow_s > 0.0

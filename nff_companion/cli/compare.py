@@ -13,16 +13,19 @@ from nff_companion.errors import ConfigError
 
 def compare(
     scenario: Annotated[str, typer.Option(help="paper: 7.5 m/s rectangle, a motor lost, six controllers.")] = "paper",
-    seeds: Annotated[int, typer.Option(help="Seeds; each an inner and an outer failure for every controller.")] = 20,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds; each an inner and an outer failure for all.")] = 20,
     controllers: Annotated[str, typer.Option(help="Only these, separated by commas.")] = "",
     network: Annotated[str, typer.Option(help="Basis: airframe, none, a shipped name or an .npz file.")] = "airframe",
     variant: Annotated[
         str,
-        typer.Option(help="Ablation: full, no-phi, published, published-no-sparsity, published-no-shaping."),
+        typer.Option(
+            help="Ablation: full, no-phi, lateral-for-all, lateral-for-none, published, published-no-sparsity,"
+            " published-no-shaping."
+        ),
     ] = "full",
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 2.0,
     draw: Annotated[Path | None, typer.Option(help="Folder for figures 5, 6 and 7.")] = None,
-    workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")] = False,
 ) -> None:
     """Fly the published experiment with every controller and print its table beside the published one."""
@@ -38,6 +41,8 @@ def compare(
         raise ConfigError(f"controller {min(unknown)!r} is unknown: choose among {', '.join(CONTROLLERS)}")
     if variant not in variants():
         raise ConfigError(f"variant {variant!r} is unknown: choose one of {', '.join(variants())}")
+    if variant == "no-phi" and network not in ("airframe", "none"):
+        raise ConfigError(f"--variant no-phi flies without a network: leave --network {network} out")
     options = PaperOptions(seeds=seeds, wind_m_s=wind, network=network, variant=variant, controllers=chosen)
     traces = run(options, workers or None)
     result = document(traces)
@@ -65,16 +70,23 @@ def _print(result: dict[str, Any]) -> None:
             found = row["peak_attitude_error_deg"][group]
             spread = result["intervals"][name]["peak_attitude_error_deg"][group]
             theirs = published.PEAK_ATTITUDE_ERROR_DEG[group].get(name)
-            ours = " / ".join(f"{found[a]:.1f} [{spread[a][0]:.1f}, {spread[a][1]:.1f}]" for a in AXES)
+            ours = " / ".join(_value(found[a], spread[a], 1) for a in AXES)
+            mean_curve = result["intervals"][name]["peak_of_mean_attitude_error_deg"][group]
+            ours += f"   of the mean curve {' / '.join(f'{mean_curve[a]:.1f}' for a in AXES)}"
             line(f"  {name:10} {ours}" + (f"   ({' / '.join(map(str, theirs))})" if theirs else ""))
-    line("mean position error after the failure, m [95 % interval]; against baseline (published)")
+    line("mean position error, m [95 % interval]: after any failure; against baseline; in the second before it")
     for name, row in result["controllers"].items():
-        low, high = result["intervals"][name]["mean_position_error_m"]
-        text = f"  {name:10} {row['mean_position_error_m']:.3f} [{low:.3f}, {high:.3f}]"
+        more = result["intervals"][name]
+        text = f"  {name:10} {_value(row['mean_position_error_m'], more['mean_position_error_m'], 3)}"
         against = result["against_baseline"].get(name)
-        if against:
-            low, high = against["interval"]
-            text += f"   {100 * against['position_error_change']:+.0f} % [{100 * low:+.0f}, {100 * high:+.0f}]"
+        text += f"   {_percent(against)}" if against else ""
+        line(f"{text}   before {more['position_error_before_m'][0]:.3f}")
+    line("the same after an outer failure; against baseline (published)")
+    for name in result["controllers"]:
+        value, *spread = result["intervals"][name]["mean_position_error_m_by_group"]["outer"]
+        text = f"  {name:10} {_value(value, spread, 3)}"
+        against = result["against_baseline"].get(name)
+        text += f"   {_percent(against['outer'])}" if against else ""
         reported = published.MEAN_POSITION_ERROR_M.get(name)
         line(text + (f"   ({reported})" if reported else ""))
     for name, row in result["controllers"].items():
@@ -86,5 +98,17 @@ def _print(result: dict[str, Any]) -> None:
         )
     for group, shares in result["gap_closed"].items():
         spread = result["gap_closed_intervals"][group]
-        text = " / ".join(f"{shares[a]:.2f} [{spread[a][0]:.2f}, {spread[a][1]:.2f}]" for a in AXES)
+        text = " / ".join(_value(shares[a], spread[a], 2) for a in AXES)
         line(f"share of the gap between baseline and omniscient that nff closes, {group}: {text}")
+        other = result["gap_closed_of_mean_curve"][group]
+        text = " / ".join(_value(other["share"][a], other["interval"][a], 2) for a in AXES)
+        line(f"  the same of the peak of the mean curve: {text}")
+
+
+def _value(value: float, interval: list[float], digits: int) -> str:
+    return f"{value:.{digits}f} [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
+
+
+def _percent(against: dict[str, Any]) -> str:
+    low, high = against["interval"]
+    return f"{100 * against['position_error_change']:+.0f} % [{100 * low:+.0f}, {100 * high:+.0f}]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -15,7 +16,7 @@ from nff_companion.cli.output import console, print_json
 from nff_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
-    from nff_companion.learning.dataset import Dataset
+    from nff_companion.learning.dataset import Condition, Dataset
     from nff_companion.learning.score import Score
     from nff_companion.vehicle import Vehicle
 
@@ -23,41 +24,47 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on s
 Logs = Annotated[list[Path] | None, typer.Option("--log", help="Flight log: .ulg, .bin or .tlog; several.")]
 Airframe = Annotated[str, typer.Option(help="Airframe by name or TOML file.")]
 _SEGMENT_S = 60.0  # so much of a log is one condition
-_HELD_OUT = 4  # every so many-th condition of logs is kept for the score
+_HELD_OUT = 4  # every so many-th log is kept for the score; of fewer logs, every so many-th minute
 _TEST_FLIGHTS = 12
+_MINUTES_MIN, _CONDITIONS_MIN = 3.0, 3  # of logs, to train on and to score on
 
 
 def train(
     airframe: Airframe,
     out: Annotated[Path, typer.Option(help="The network, .npz.")],
     log: Logs = None,
-    simulate: Annotated[int, typer.Option(help="So many simulated flights of one minute.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of the training; the same seed gives the same network.")] = 1,
-    iterations: Annotated[int, typer.Option(help="Steps of the training.")] = 3000,
-    functions: Annotated[int, typer.Option(help="Basis functions k.")] = 6,
-    adversary: Annotated[float, typer.Option(help="Weight of the adversary; 0: none.")] = 0.02,
-    workers: Annotated[int, typer.Option(help="Processes that simulate; 0: one a core.")] = 0,
+    simulate: Annotated[int, typer.Option(min=0, help="So many simulated flights of one minute.")] = 0,
+    seed: Annotated[int, typer.Option(min=1, help="Of the training; the same seed gives the same network.")] = 1,
+    iterations: Annotated[int, typer.Option(min=1, help="Steps of the training.")] = 3000,
+    functions: Annotated[int, typer.Option(min=1, help="Basis functions k, at most.")] = 6,
+    adversary: Annotated[float, typer.Option(min=0.0, help="Weight of the adversary; 0: none.")] = 0.02,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that simulate; 0: one a core.")] = 0,
     json: Json = False,
 ) -> None:
     """Learn the basis of an airframe from flights without failures. Interrupted, it goes on where it was."""
     from rich.progress import Progress
 
+    # Deterministic matrix products on a GPU need it, before torch is loaded.
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     from nff_companion import vehicle as vehicle_model
     from nff_companion.learning.daiml import Trainer, TrainingOptions
-    from nff_companion.learning.phi import for_vehicle
+    from nff_companion.learning.phi import check
     from nff_companion.learning.score import score
 
     if bool(log) == bool(simulate):
         raise ConfigError("give either --log FILE (several) or --simulate N")
     if out.suffix != ".npz":
         raise ConfigError(f"--out {out}: the suffix must be .npz")
+    if not out.parent.is_dir():
+        raise ConfigError(f"--out {out}: there is no folder {out.parent}")
     began = time.monotonic()
     vehicle = vehicle_model.load(airframe)
     if log:
-        known, unseen = _from_logs(vehicle, log)
+        known, unseen, held_out = _held_out(vehicle, log)
     else:
         from nff_companion.trials.training import simulate as fly
 
+        held_out = "whole flights"
         console.print(f"flying {simulate} flights to train on and {_TEST_FLIGHTS} to score", highlight=False)
         known = fly(airframe, simulate, seed=seed - 1, workers=workers or None)
         unseen = fly(airframe, _TEST_FLIGHTS, test=True, seed=seed - 1, workers=workers or None)
@@ -75,9 +82,11 @@ def train(
     trained = trainer.basis({"airframe": vehicle.name, "command": command})
     result = score(vehicle, trained, unseen)
     trained.metadata["score"] = msgspec.to_builtins(result)
-    trained.metadata["covers"] = result.covered
+    # What was only foretold in flights that it has seen parts of is claimed of none.
+    trained.metadata["held_out"] = held_out
+    trained.metadata["covers"] = result.covered if held_out == "whole flights" else []
+    check(trained, vehicle, str(out))  # what flight would refuse is not written
     trained.save(out)
-    for_vehicle(vehicle, str(out))  # what flight would refuse, training reports at once
     document: dict[str, Any] = {
         "network": str(out),
         "seconds": round(time.monotonic() - began, 1),
@@ -88,6 +97,8 @@ def train(
         print_json(document)
         return
     _print_score(result)
+    if held_out != "whole flights":
+        console.print(f"scored on {held_out}: give {_HELD_OUT} logs or more for a score that counts", highlight=False)
     console.print(f"{out}: {known.minutes:.0f} min of flight, {document['seconds']:.0f} s", highlight=False)
 
 
@@ -97,8 +108,8 @@ def score_command(
         "airframe"
     ),
     log: Logs = None,
-    simulate: Annotated[int, typer.Option(help="So many simulated flights of one minute.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of the simulated flights.")] = 2,
+    simulate: Annotated[int, typer.Option(min=0, help="So many simulated flights of one minute.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated flights.")] = 2,
     json: Json = False,
 ) -> None:
     """One-step-ahead prediction of a network on flights that it was not trained on, beside a constant phi."""
@@ -114,8 +125,7 @@ def score_command(
     if basis is None:
         raise ConfigError(f"{airframe} names no network: give --network")
     if log:
-        known, unseen = _from_logs(vehicle, log)
-        data = Dataset(known.conditions + unseen.conditions)
+        data = Dataset([part for flight in _flights(vehicle, log) for part in flight])
     else:
         from nff_companion.trials.training import simulate as fly
 
@@ -127,22 +137,38 @@ def score_command(
     _print_score(result)
 
 
-def _from_logs(vehicle: Vehicle, logs: list[Path]) -> tuple[Dataset, Dataset]:
-    """Conditions to train on and conditions to score on. Raises LogError."""
-    from nff_companion.learning.dataset import Dataset, record, split
+def _flights(vehicle: Vehicle, logs: list[Path]) -> list[list[Condition]]:
+    """The conditions of each log. Raises LogError."""
+    from nff_companion.learning.dataset import record, split
     from nff_companion.replay.run import rate_of, read
 
-    conditions = []
+    flights = []
     for path in logs:
         _, rows = read(path, vehicle)
         samples = [sample for _, sample in rows]
-        conditions += split(record(vehicle, rate_of(samples), samples, path.name), _SEGMENT_S)
-    unseen = conditions[_HELD_OUT - 1 :: _HELD_OUT] or conditions[-1:]
+        flights.append(split(record(vehicle, rate_of(samples), samples, path.name), _SEGMENT_S))
+    return flights
+
+
+def _held_out(vehicle: Vehicle, logs: list[Path]) -> tuple[Dataset, Dataset, str]:
+    """Conditions to train on, conditions to score on, and what these are. Raises LogError."""
+    from nff_companion.learning.dataset import Dataset
+
+    flights = _flights(vehicle, logs)
+    conditions = [part for flight in flights for part in flight]
+    minutes = Dataset(conditions).minutes
+    if minutes < _MINUTES_MIN or len(conditions) < _CONDITIONS_MIN:
+        raise LogError(
+            f"the logs hold {minutes:.1f} min of usable flight in {len(conditions)} parts: at least"
+            f" {_MINUTES_MIN:.0f} min in {_CONDITIONS_MIN} parts are needed"
+        )
+    if len(flights) >= _HELD_OUT:
+        unseen = [part for flight in flights[_HELD_OUT - 1 :: _HELD_OUT] for part in flight]
+    else:
+        unseen = conditions[_HELD_OUT - 1 :: _HELD_OUT] or conditions[-1:]
     known = [c for c in conditions if not any(c is other for other in unseen)]
-    if len(known) < 2:
-        minutes = sum(len(c.features) for c in conditions) / 3000.0
-        raise LogError(f"the logs hold {minutes:.1f} min of usable flight: at least three minutes are needed")
-    return Dataset(known), Dataset(unseen)
+    kept = "whole flights" if len(flights) >= _HELD_OUT else "other minutes of the same flights"
+    return Dataset(known), Dataset(unseen), kept
 
 
 def _print_score(result: Score) -> None:
@@ -152,6 +178,8 @@ def _print_score(result: Score) -> None:
         console.print(
             f"{axis:7} explained {result.explained[index]:.3f} (constant phi {result.constant_explained[index]:.3f}),"
             f" error {result.error_over_constant[index]:.2f} of the constant's,"
+            f" {result.error_over_fast_constant[index]:.2f} of one following in {result.fast_constant_follow_s:.1f} s,"
+            f" a0 alone {result.prior_explained[index]:.2f},"
             f" {result.error_rms[index]:.3f} of {result.residual_rms[index]:.3f} SI rms"
             f"{'' if axis in result.covered else '; NOT COVERED'}",
             highlight=False,

@@ -237,7 +237,7 @@ class ControlLaw:
             slow, most = (_YAW_SHARE, _YAW_RATE_MAX_RAD_S) if k == 2 else (1.0, _RATE_MAX_RAD_S)
             rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
             back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
-            out.append(slow * (back + integral[k] - known[k + 1]))
+            out.append(slow * (back + integral[k]) - known[k + 1])
         grown = (
             memory.turn_rad_s2 + (dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude) * np.array(axis) * _TURN_SHARES
         )

@@ -25,6 +25,9 @@ class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     pair_min: float = 6.0  # that only a second motor brings, to need a second motor
     explained_min: float = 0.70  # share of the residual's energy that the hypothesis explains
     loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
+    loss_settled: float = 0.78  # least mean loss, where an onset is old enough for its loss to be known well, and of
+    # two named at once: partly lost, two motors can look like any gust
+    settled_s: float = 0.095
     loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
     loss_others: float = 0.30  # of a second motor, beside which nothing gradual is declared
     confirm_s: float = 0.008
@@ -240,9 +243,11 @@ class Decision:
 
     def _convincing(self, best: Hypothesis) -> bool:
         o = self.options
+        settled = best.age_s > o.settled_s or len(best.motors) > 1
         return (
             best.improvement >= o.improvement_min
             and best.margin >= o.margin_min
             and best.explained >= o.explained_min
             and max(best.loss) <= -o.loss_sudden
+            and (-sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )

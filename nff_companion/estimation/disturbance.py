@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from nff_companion.estimation.filters import lag_share
 from nff_companion.estimation.neural_fly import Adaptation, AdaptationOptions, AdaptationState
 from nff_companion.vehicle import Vehicle
 
@@ -27,6 +28,7 @@ _CEILING_SHARE = np.array([1.0, 0.35, 0.35, 1.0])
 CORRELATION_S = 0.025  # of the residual after its filters: samples closer than this are not independent
 
 
+_STALE_S = 2.0  # without attitude or velocity, phi goes from its last value to the constant alone
 _SHARE_PRIOR, _SHARE_PRIOR_DEVIATION = 0.5, 0.35
 _SHARE_DRIFT_PER_S = 2e-5  # variance
 
@@ -117,10 +119,13 @@ class Disturbance:
         """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
         return 1.0 / (self.variance(state) * CORRELATION_S)
 
-    def basis(self, state: DisturbanceState, features: np.ndarray | None) -> np.ndarray:
-        """phi (k + 1,); without ``features`` the last one stays."""
-        if self.network is None or features is None:
+    def basis(self, state: DisturbanceState, features: np.ndarray | None, dt_s: float) -> np.ndarray:
+        """phi (k + 1,); without ``features`` the last one fades: what it said of the speed grows old, and a jump to the
+        constant would look like a failure."""
+        if self.network is None:
             return state.basis
+        if features is None:
+            return state.basis + lag_share(dt_s, _STALE_S) * (self._blind - state.basis)
         return self.network(features)
 
     def predict(self, state: DisturbanceState, basis: np.ndarray) -> np.ndarray:
@@ -141,7 +146,7 @@ class Disturbance:
         """One sample of the raw residual y (n,); ``rate`` scales the speed of learning, 0: frozen;
         ``allocation_norm`` is that of the matrix in force, for (6.8)."""
         if rate <= 0.0:
-            return replace(state, basis=basis)
+            return replace(state, adaptation=self._projected(state.adaptation, allocation_norm), basis=basis)
         predicted = self.predict(state, basis)
         around = residual - predicted
         # At the limit of what may be learnt y is taken for what is believed already, so that a does not wind up.
@@ -149,8 +154,14 @@ class Disturbance:
         held = (residual - unbounded) * (unbounded - predicted) > 0.0
         seen = np.where(held, unbounded, residual)
         adaptation = self._adaptation.step(state.adaptation, basis, seen / self._scale, min(rate * dt_s, 0.5))
-        if self.network is not None and allocation_norm:
-            adaptation.a = self.network.project(adaptation.a, self._vehicle, allocation_norm)
+        adaptation = self._projected(adaptation, allocation_norm)
         spread = np.minimum(around**2, _SPREAD_LIMIT**2 * np.maximum(state.variance, self._floor_squared))
         variance = state.variance + min(rate * dt_s / _SPREAD_S, 0.5) * (spread - state.variance)
         return DisturbanceState(adaptation, basis, variance)
+
+    def _projected(self, state: AdaptationState, allocation_norm: float) -> AdaptationState:
+        """Within (6.8), whose bound moves with the allocation in force."""
+        if self.network is None or not allocation_norm:
+            return state
+        a = self.network.project(state.a, self._vehicle, allocation_norm)
+        return state if a is state.a else AdaptationState(a, state.covariance)

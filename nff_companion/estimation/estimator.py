@@ -165,7 +165,7 @@ class Estimator:
         seen = None
         if motion is not None:
             seen = features(motion.velocity_m_s, motion.quaternion, filtered.push, filtered.rate, commanded)
-        basis = self._disturbance.basis(state.disturbance, seen)
+        basis = self._disturbance.basis(state.disturbance, seen, dt_s)
         expected = self._disturbance.predict(state.disturbance, basis)
         residual = raw - expected
         if not math.isfinite(float(residual.sum())):

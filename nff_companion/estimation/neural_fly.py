@@ -16,17 +16,21 @@ All axes share the basis and, measured in their own scale, the noise: one gain (
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import msgspec
 import numpy as np
+
+# Directions of phi that a flight does not excite gather variance for ever: P's trace may grow this much.
+_COVARIANCE_GROWTH = 2.0
 
 
 class AdaptationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuning. Noise R is 1 in the axes' own scale: only ratios matter."""
 
-    follow_s: float = 2.0  # time constant of a basis function of value 1: sqrt(R / Q)
-    forget_per_s: float = 0.0  # lam
-    composite: float = 0.0  # weight of the tracking error s
+    follow_s: Annotated[float, msgspec.Meta(ge=0.05)] = 2.0  # time constant of a basis function of value 1: sqrt(R / Q)
+    forget_per_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # lam
+    composite: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # weight of the tracking error s
 
 
 @dataclass(slots=True)
@@ -46,6 +50,7 @@ class Adaptation:
         k = len(prior)
         self._drive = np.eye(k) / options.follow_s**2
         self._start = np.eye(k) / options.follow_s if spread is None else spread
+        self._trace_max = _COVARIANCE_GROWTH * float(self._start.trace())
         self._identity = np.eye(k)
         self._options = options
 
@@ -74,4 +79,7 @@ class Adaptation:
             new = new + (o.composite * dt_s) * reach[:, None] * tracking_error
         left = self._identity - gain[:, None] * basis
         covariance = left @ covariance @ left.T + noise * gain[:, None] * gain
+        size = float(covariance.trace())
+        if size > self._trace_max:
+            covariance *= self._trace_max / size
         return AdaptationState(new, covariance)

@@ -2,14 +2,16 @@
 
 Each step takes some conditions. On one batch of a condition its coefficients a come by regularised least squares, on
 another phi a is compared with the residual. An adversary h tries to tell the condition from phi, and phi is rewarded
-when it cannot: what differs between conditions belongs into a. Each layer's spectral norm is capped, the column that
-the command enters by once more, so that (6.8) holds.
+when it cannot: what differs between conditions belongs into a. Each layer's spectral norm is capped while training,
+the column that the command enters by once more, so that (6.8) holds; the scaling of the last layer to functions of unit
+variance comes after it, and is counted in the bound.
 """
 
 from __future__ import annotations
 
 import csv
 import itertools
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +31,7 @@ try:
 except ImportError as missing:
     raise MissingExtra("training needs torch: pip install nff-companion[train]") from missing
 
-_WEAKEST = 0.05  # a direction of phi with less variance than this share of the strongest is not amplified further
+_WEAKEST = 0.05  # a direction of phi with less variance than this share of the strongest is left out
 
 
 class TrainingOptions(msgspec.Struct, frozen=True, kw_only=True):
@@ -183,7 +185,10 @@ class Trainer:
         partial.replace(path)
 
     def _restore(self, path: Path) -> None:
-        state = torch.load(path, weights_only=True)
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except (RuntimeError, EOFError, OSError, KeyError, pickle.UnpicklingError) as error:
+            raise ConfigError(f"checkpoint {path} cannot be read: {error}; delete it to begin anew") from error
         if state["data"] != self._data.sha256 or state["options"] != msgspec.json.encode(self._options).decode():
             raise ConfigError(f"checkpoint {path} is of other flights or options: delete it, or train with the same")
         for name in _STATEFUL:
@@ -198,14 +203,16 @@ class Trainer:
         """The trained network for flight.
 
         Its functions are made uncorrelated, of zero mean and unit variance over the training flights, so that the
-        adaptation's time constant means the same for each; a0 is the mean of the conditions' a in these functions.
+        adaptation's time constant means the same for each; those that hardly move are left out. a0 is the mean of the
+        conditions' a in these functions.
         """
         layers = [layer for layer in self.phi if isinstance(layer, nn.Linear)]
         weights = [layer.weight.cpu().numpy().astype(float) for layer in layers]
         biases = [layer.bias.cpu().numpy().astype(float) for layer in layers]
         phi = torch.cat([self.phi(x) for x in self._inputs]).cpu().numpy().astype(float)
         values, vectors = np.linalg.eigh(np.cov(phi.T))
-        even = vectors.T / np.sqrt(np.maximum(values, _WEAKEST * values.max()))[:, None]
+        moving = values >= _WEAKEST * values.max()
+        even = vectors.T[moving] / np.sqrt(values[moving])[:, None]
         biases[-1] = even @ (biases[-1] - phi.mean(axis=0))
         weights[-1] = even @ weights[-1]
         whole = Basis(
@@ -216,14 +223,14 @@ class Trainer:
             low=self.low,
             high=self.high,
             axis_scale=self.axis_scale,
-            prior=np.zeros((len(values) + 1, len(self.axis_scale))),
+            prior=np.zeros((len(even) + 1, len(self.axis_scale))),
             metadata={},
         )
         prior = self._prior(even, phi.mean(axis=0))
         described = {
             "format": FORMAT,
             "inputs": list(NAMES),
-            "architecture": [len(NAMES), *self._options.hidden, self._options.functions],
+            "architecture": [len(NAMES), *self._options.hidden, len(even)],
             "options": msgspec.to_builtins(self._options),
             "data_sha256": self._data.sha256,
             "conditions": len(self._data.conditions),

@@ -1,4 +1,4 @@
-"""Flights without failures, as the network is trained on: inputs and residuals of each condition, at 50 Hz.
+"""Flights without failures, as the network is trained on: inputs and residuals of each condition, at up to 50 Hz.
 
 A condition is what stays the same during one flight: this vehicle, this payload, this wind. Inputs and residuals come
 out of the companion's own pipeline, so that training and flight see the same.
@@ -16,20 +16,22 @@ from nff_companion.errors import LogError
 from nff_companion.estimation.estimator import EstimatorOptions
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
+from nff_companion.vehicle import AXES, Vehicle
 
 RATE_HZ = 50.0
 _SETTLE_S = 2.0  # of each flight left out: filters and take-off
 _ROWS_MIN = 400
+_MEAN_MAX_MOTORS = 2.5  # mean residual of a flight, in losses of one motor at hover: beyond it is another vehicle
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One flight: ``features`` (L, d) and ``residual`` (L, n) in SI."""
+    """One flight: ``features`` (L, d) and ``residual`` (L, n) in SI, ``rate_hz`` rows a second."""
 
     name: str
     features: np.ndarray
     residual: np.ndarray
+    rate_hz: float = RATE_HZ
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Dataset:
     @property
     def minutes(self) -> float:
         """Flight time."""
-        return sum(len(c.features) for c in self.conditions) / RATE_HZ / 60.0
+        return sum(len(c.features) / c.rate_hz for c in self.conditions) / 60.0
 
 
 class Recorder:
@@ -59,6 +61,7 @@ class Recorder:
     def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
         estimator = EstimatorOptions(network="none")
         self._pipeline = Pipeline(vehicle, rate_hz, PipelineOptions(mode=Mode.OBSERVE, law="nf", estimator=estimator))
+        self._vehicle, self._rate_hz = vehicle, min(rate_hz, RATE_HZ)
         self._features: list[np.ndarray] = []
         self._residual: list[np.ndarray] = []
         self._due_s = -np.inf
@@ -84,11 +87,25 @@ class Recorder:
         """The flight so far. Raises LogError when it is too short, or lacks attitude and velocity."""
         if len(self._features) < _ROWS_MIN:
             raise LogError(
-                f"{name} has {len(self._features)} rows at {RATE_HZ:.0f} Hz of flight with attitude and velocity;"
+                f"{name} has {len(self._features)} rows at {self._rate_hz:.0f} Hz of flight with attitude and velocity;"
                 f" {_ROWS_MIN} are needed: log ATTITUDE_QUATERNION and LOCAL_POSITION_NED, or vehicle_attitude and"
                 " vehicle_local_position"
             )
-        return Condition(name, np.array(self._features), np.array(self._residual))
+        residual = np.array(self._residual)
+        self._plausible(name, residual)
+        return Condition(name, np.array(self._features), residual, self._rate_hz)
+
+    def _plausible(self, name: str, residual: np.ndarray) -> None:
+        """Raises LogError where the airframe cannot be the one that flew."""
+        one = np.sqrt(((self._vehicle.acceleration_effectiveness * self._vehicle.hover) ** 2).mean(axis=1))
+        mean = np.abs(residual.mean(axis=0))
+        if (mean > _MEAN_MAX_MOTORS * one).any():
+            axis = int((mean / one).argmax())
+            raise LogError(
+                f"{name}: on the {AXES[axis]} axis {self._vehicle.name} is off by as much as"
+                f" {mean[axis] / one[axis]:.1f} lost motors in the mean: check airframe, motor order, mass and"
+                " full thrust, and that no motor failed"
+            )
 
 
 def record(vehicle: Vehicle, rate_hz: float, samples: Iterable[Sample], name: str) -> Condition:
@@ -101,7 +118,7 @@ def record(vehicle: Vehicle, rate_hz: float, samples: Iterable[Sample], name: st
 
 def split(condition: Condition, seconds: float) -> list[Condition]:
     """A long flight as several conditions: the wind changes."""
-    rows = max(round(seconds * RATE_HZ), _ROWS_MIN)
+    rows = max(round(seconds * condition.rate_hz), _ROWS_MIN)
     parts = max(len(condition.features) // rows, 1)
     pieces = zip(np.array_split(condition.features, parts), np.array_split(condition.residual, parts), strict=True)
-    return [Condition(f"{condition.name}#{k + 1}", f, r) for k, (f, r) in enumerate(pieces)]
+    return [Condition(f"{condition.name}#{k + 1}", f, r, condition.rate_hz) for k, (f, r) in enumerate(pieces)]

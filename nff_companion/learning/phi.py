@@ -191,6 +191,12 @@ def for_vehicle(vehicle: Vehicle, choice: str) -> Basis | None:
     if not name:
         return None
     basis = load(path_of(name))
+    check(basis, vehicle, name)
+    return basis
+
+
+def check(basis: Basis, vehicle: Vehicle, name: str) -> None:
+    """Raises NetworkError when ``basis`` has other axes than ``vehicle``, or breaks (6.8) with the nominal A."""
     if len(basis.axis_scale) != vehicle.axes:
         raise NetworkError(f"network {name} covers {len(basis.axis_scale)} axes, {vehicle.name} has {vehicle.axes}")
     nominal = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
@@ -200,4 +206,3 @@ def for_vehicle(vehicle: Vehicle, choice: str) -> Basis | None:
             f"network {name} breaks (6.8) on {vehicle.name}: sigma(A) Lip_u(phi) |a| = {size:.2f}, below"
             f" {CONTRACTION_MAX} is needed: its answer to its own command would not settle; train it with a lower cap"
         )
-    return basis

@@ -30,7 +30,7 @@ def measure(airframe: str) -> dict[str, Any]:
     taken = []
     for features, residual in zip(flight.features, flight.residual, strict=True):
         began = time.perf_counter()
-        value = disturbance.basis(state, features)
+        value = disturbance.basis(state, features, 0.005)
         disturbance.predict(state, value)
         state = disturbance.step(state, value, residual, 0.005, allocation_norm=norm)
         taken.append(time.perf_counter() - began)

@@ -15,8 +15,9 @@ from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 RATE_HZ = 200.0
 MODEL_ERROR = 0.10
 TURBULENCE_SHARE = 0.25
-# Winds and speeds of the two sets have nothing in common but still air; nor have their seeds.
-TRAIN_SPEEDS_M_S, TRAIN_WINDS_M_S = (0.0, 3.0, 6.0, 9.0, 11.0, 13.0), (0.0, 2.0, 4.0, 6.0)
+# The two sets have no wind, no speed of a leg and no seed in common; nor has the first one a wind in common with the
+# surveys and comparisons. Speeds pass through all values on the way.
+TRAIN_SPEEDS_M_S, TRAIN_WINDS_M_S = (0.0, 3.0, 6.0, 9.0, 11.0, 13.0), (0.0, 2.5, 4.5, 6.5)
 TEST_SPEEDS_M_S, TEST_WINDS_M_S = forward.SPEEDS_M_S, (3.0, 5.0, 7.0)
 _TRAIN_SEEDS, _TEST_SEEDS = 1000, 5000
 

@@ -55,11 +55,13 @@ _UNDECLARED = DecisionOptions(improvement_min=1e9, loss_gradual=2.0)
 
 
 def variants() -> dict[str, PipelineOptions]:
-    """Ablations: what is changed in the laws that find motors."""
+    """Ablations, of every law that has the part at all."""
     published = PlannerOptions(follow_estimate=True)
     return {
         "full": PipelineOptions(),
         "no-phi": PipelineOptions(estimator=EstimatorOptions(network="none")),
+        "lateral-for-all": PipelineOptions(feed_lateral="always"),
+        "lateral-for-none": PipelineOptions(feed_lateral="never"),
         "published": PipelineOptions(planner=published, estimator=EstimatorOptions(decision=_UNDECLARED)),
         "published-no-sparsity": PipelineOptions(
             planner=published, estimator=EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
@@ -142,10 +144,7 @@ def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
                 pipeline.adopt(np.arange(1, pipeline.vehicle.motors + 1) == case.motor)
             if fleet.cycle % every == 0 and not fleet.state.crashed[k]:
                 recorders[k].add(fleet, k, pipeline)
-    return [
-        recorder.trace(flight.companions[k].events, bool(fleet.state.crashed[k]))
-        for k, recorder in enumerate(recorders)
-    ]
+    return [recorder.trace(flight.companions[k].events, every) for k, recorder in enumerate(recorders)]
 
 
 def _pipeline_options(options: PaperOptions, controller: str) -> PipelineOptions:
@@ -198,20 +197,20 @@ class _Recorder:
             (time_s, np.degrees(error), away, eta if pipeline.last is None else pipeline.last.effectiveness)
         )
 
-    def trace(self, all_events: list[tuple[float, Event]], crashed: bool) -> Trace:
-        """The flight."""
-        events = [(t, e) for t, e in all_events if e.declared]
+    def trace(self, all_events: list[tuple[float, Event]], every: int) -> Trace:
+        """The flight up to AFTER_S; a row comes each ``every`` cycles of the autopilot while the vehicle is up."""
+        events = [(t, e) for t, e in all_events if e.declared and t <= self._fault_s + AFTER_S]
         times = [t for t, e in events if e.motor == self._case.motor]
-        columns = list(zip(*self._rows, strict=True))
+        time_s = np.array([row[0] for row in self._rows])
         return Trace(
             case=self._case,
-            time_s=np.array(columns[0]),
-            attitude_error_deg=np.array(columns[1]),
-            position_error_m=np.array(columns[2]),
-            effectiveness=np.array(columns[3]),
+            time_s=time_s,
+            attitude_error_deg=np.array([row[1] for row in self._rows]).reshape(-1, 3),
+            position_error_m=np.array([row[2] for row in self._rows]),
+            effectiveness=np.array([row[3] for row in self._rows]),
             named=sorted({e.motor for _, e in events}),
             delay_s=times[0] - self._fault_s if times else None,
-            crashed=crashed,
+            crashed=len(time_s) == 0 or float(time_s[-1]) < AFTER_S - 2 * every / AUTOPILOT_RATE_HZ,
         )
 
 
