@@ -42,7 +42,15 @@ def test_summary_counts_what_went_wrong() -> None:
 
 
 def test_bad_options_are_one_line_and_exit_2() -> None:
-    for arguments in (["survey", "--mode", "fly"], ["survey", "--airframe", "brick"], ["demo", "--fail", "one@two"]):
+    for arguments in (
+        ["survey", "--mode", "fly"],
+        ["survey", "--airframe", "brick"],
+        ["demo", "--fail", "one@two"],
+        ["compare", "--scenario", "moon"],
+        ["compare", "--variant", "no-phi", "--network", "octo-x"],
+        ["score", "--airframe", "octo-x"],
+        ["score", "--airframe", "hexa-x", "--simulate", "1"],
+    ):
         result = subprocess.run([*NFF, *arguments], capture_output=True, text=True, check=False)
         assert result.returncode == 2
         assert result.stderr.startswith("nff:")

@@ -98,6 +98,8 @@ def _position(traces: list[Trace]) -> Any:
         ]
         axes.boxplot(rows, tick_labels=names, showmeans=True)
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
         axes.set_title(f"{group} motor: mean position error, m", fontsize=10, loc="left")
         axes.grid(alpha=0.3, axis="y")
     return figure
