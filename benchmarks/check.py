@@ -15,7 +15,7 @@ import numpy as np
 
 from nff_companion import vehicle
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
-from nff_companion.trials import allocation_bench, loop_bench
+from nff_companion.trials import adaptation_bench, allocation_bench, loop_bench
 from nff_companion.trials.demo import DemoOptions, make_fleet
 from nff_companion.trials.virtual import VirtualFlight
 
@@ -53,9 +53,11 @@ def main() -> int:
     loop = loop_bench.measure(rate_hz=400.0, seconds=10.0, airframe="octo-x")
     methods = allocation_bench.measure(airframe="octo-x", hover=0.0)["methods"]
     trim, pinv = methods["trim"]["median_us"], methods["pinv"]["median_us"]
+    adaptation = adaptation_bench.measure("octo-x")
     found = {
         "loop": {"ratio_p50_max": loop["ratio_p50"], "rss_mb_max": loop["rss_mb"]},
         "allocation": {"trim_median_us_max": trim, "trim_over_pinv_max": round(trim / pinv, 2)},
+        "adaptation": {"median_us_max": adaptation["median_us"], "over_solve_max": adaptation["over_solve"]},
         "step": {"step_over_solve_max": round(step_over_solve(), 2)},
     }
     broken = [

@@ -142,6 +142,10 @@ def test_the_gap_closed_and_the_change_against_baseline_are_what_they_say() -> N
     assert result["gap_closed_of_mean_curve"]["outer"]["share"]["roll"] == pytest.approx(0.75)
     assert result["against_baseline"]["nff"]["outer"]["position_error_change"] == pytest.approx(-0.75)
     assert result["intervals"]["nff"]["position_error_before_m"][0] == pytest.approx(0.5)
+    assert result["intervals"]["nff"]["false_loss"] == [0.0, 0.0, 0.0]
+    lost = traces[-1].case.motor
+    traces[-1].effectiveness[500, [lost - 1, lost % 8]] = 0.0, 0.25
+    assert figures.false_loss(traces[-1]) == 0.75, "the motor that was lost does not count"
     json.dumps(result, allow_nan=False)
 
 

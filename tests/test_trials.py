@@ -18,8 +18,9 @@ NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 
 @pytest.mark.parametrize("detector", ["sparse", "imm"])
 def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str) -> None:
-    document = run(SurveyOptions(seeds=1, detector=detector), [(3,)], workers=1)
+    document = run(SurveyOptions(seeds=1, first_seed=2, detector=detector), [(3,)], workers=1)
     (flight,) = document["flights"]
+    assert flight["seed"] == 2
     assert flight["motors"] == [3]
     assert flight["named"] == [3]
     assert flight["survived"]
@@ -49,7 +50,7 @@ def test_bad_options_are_one_line_and_exit_2() -> None:
         ["compare", "--scenario", "moon"],
         ["compare", "--variant", "no-phi", "--network", "octo-x"],
         ["score", "--airframe", "octo-x"],
-        ["score", "--airframe", "hexa-x", "--simulate", "1"],
+        ["score", "--airframe", "h250", "--simulate", "1"],
     ):
         result = subprocess.run([*NFF, *arguments], capture_output=True, text=True, check=False)
         assert result.returncode == 2

@@ -19,7 +19,8 @@ def survey(
     pairs: Annotated[bool, typer.Option("--pairs", help="Every simultaneous double failure.")] = False,
     healthy: Annotated[float, typer.Option("--healthy", help="Minutes to fly without a failure instead.")] = 0.0,
     compare: Annotated[bool, typer.Option("--compare", help="Healthy flights without the companion too.")] = False,
-    seeds: Annotated[int, typer.Option(help="Seeds for each set of failures.")] = 3,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds for each set of failures.")] = 3,
+    first_seed: Annotated[int, typer.Option(min=1, help="The seeds count from it.")] = 1,
     airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
     rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
     link_delay: Annotated[float, typer.Option(help="Delay of the link each way in ms.")] = 10.0,
@@ -36,7 +37,7 @@ def survey(
     ] = "plain",
     rotor_speeds: Annotated[bool, typer.Option("--rotor-speeds", help="The ESCs report speeds.")] = False,
     thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
-    workers: Annotated[int, typer.Option(help="Processes; 0: one a core.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
     json: Json = False,
 ) -> None:
     """Fly every failure in virtual time, with and without the companion."""
@@ -59,6 +60,7 @@ def survey(
         joint=joint,
         thrust_to_weight=thrust_to_weight or None,
         seeds=seeds,
+        first_seed=first_seed,
         rate_hz=rate,
         link_delay_s=1e-3 * link_delay,
         model_error=0.01 * model_error,

@@ -47,6 +47,7 @@ class SurveyOptions:
     airframe: str = "octo-x"
     thrust_to_weight: float | None = None
     seeds: int = 3
+    first_seed: int = 1
     rate_hz: float = 200.0
     link_delay_s: float = 0.010
     model_error: float = 0.10
@@ -78,7 +79,7 @@ def failure_sets(motors: int, *, pairs: bool) -> list[tuple[int, ...]]:
 
 def run(options: SurveyOptions, sets: list[tuple[int, ...]], workers: int | None = None) -> dict[str, Any]:
     """Fly every set with every seed, with and without the companion; the document that ``nff survey`` prints."""
-    flights = [(motors, seed) for motors in sets for seed in range(1, options.seeds + 1)]
+    flights = [(motors, seed) for motors in sets for seed in _seeds(options, options.seeds)]
     results = _spread(_fly_failures, options, flights, workers)
     return {"options": _described(options), "flights": results, "summary": summary(results)}
 
@@ -86,7 +87,7 @@ def run(options: SurveyOptions, sets: list[tuple[int, ...]], workers: int | None
 def run_healthy(options: SurveyOptions, minutes: float, workers: int | None = None) -> dict[str, Any]:
     """Fly ``minutes`` without a failure, split over vehicles with different seeds."""
     count = max(1, round(minutes * 60.0 / healthy.DURATION_S))
-    results = _spread(_fly_healthy, options, [((), seed) for seed in range(1, count + 1)], workers)
+    results = _spread(_fly_healthy, options, [((), seed) for seed in _seeds(options, count)], workers)
     document: dict[str, Any] = {"options": _described(options), "flights": results, "summary": summary(results)}
     document["summary"]["minutes"] = count * healthy.DURATION_S / 60.0
     if options.compare:
@@ -96,9 +97,14 @@ def run_healthy(options: SurveyOptions, minutes: float, workers: int | None = No
     return document
 
 
+def _seeds(options: SurveyOptions, count: int) -> range:
+    return range(options.first_seed, options.first_seed + count)
+
+
 def _described(options: SurveyOptions) -> dict[str, Any]:
     return {
         "airframe": options.airframe,
+        "first_seed": options.first_seed,
         "rate_hz": options.rate_hz,
         "link_delay_ms": 1e3 * options.link_delay_s,
         "model_error_percent": 100.0 * options.model_error,

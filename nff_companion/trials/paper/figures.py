@@ -50,6 +50,13 @@ def mean_position_error_m(trace: Trace) -> float:
     return flown * float(error.mean()) + (1.0 - flown) * max(float(error[-1]), HEIGHT_M)
 
 
+def false_loss(trace: Trace) -> float:
+    """Largest loss that was believed of a motor that works, after the failure."""
+    working = np.arange(1, trace.effectiveness.shape[1] + 1) != trace.case.motor
+    believed = trace.effectiveness[trace.time_s >= 0.0][:, working]
+    return float(np.clip(1.0 - believed, 0.0, 1.0).max()) if believed.size else 1.0
+
+
 def position_error_before_m(trace: Trace) -> float:
     """Over BEFORE_S until the failure: what the controller does without one."""
     error = trace.position_error_m[trace.time_s < 0.0]
@@ -90,6 +97,7 @@ class _Flown:
         self.traces = [t for flown in traces.values() for t in flown]
         self.position = {g: np.array([mean_position_error_m(t) for t in flown]) for g, flown in traces.items()}
         self.before = {g: np.array([position_error_before_m(t) for t in flown]) for g, flown in traces.items()}
+        self.false_loss = np.mean([[false_loss(t) for t in flown] for flown in traces.values()], axis=0)
         self.both = np.mean(list(self.position.values()), axis=0)
         peaks = {g: np.array([peak_deg(t) for t in flown]) for g, flown in traces.items()}
         self.peak = {g: values.mean(axis=0) for g, values in peaks.items()}
@@ -143,6 +151,7 @@ def _details(row: _Flown, bootstrap: Bootstrap) -> dict[str, Any]:
         "mean_position_error_m": interval(bootstrap.means(row.both)),
         "mean_position_error_m_by_group": {g: with_interval(row.position[g]) for g in GROUPS},
         "position_error_before_m": with_interval(np.mean(list(row.before.values()), axis=0)),
+        "false_loss": with_interval(row.false_loss),
         "peak_attitude_error_deg": {g: _intervals(row.peak_drawn[g]) for g in GROUPS},
         "peak_of_mean_attitude_error_deg": {g: _by_axis(row.mean_curve_peak[g]) for g in GROUPS},
         "named_right": sum(t.named == [t.case.motor] for t in row.traces),
