@@ -93,8 +93,8 @@ def _print(result: dict[str, Any]) -> None:
         more = result["intervals"][name]
         line(
             f"  {name:10} crashes {row['crashes']} of {more['flights']}, named right {more['named_right']},"
-            f" wrong {more['named_wrong']}, largest loss believed of a working motor {more['false_loss'][0]:.2f}, isolation median {more['isolation_median_s']},"
-            f" worst {more['isolation_worst_s']} s"
+            f" wrong {more['named_wrong']}, false loss {more['false_loss'][0]:.2f},"
+            f" isolation median {more['isolation_median_s']}, worst {more['isolation_worst_s']} s"
         )
     for group, shares in result["gap_closed"].items():
         spread = result["gap_closed_intervals"][group]
