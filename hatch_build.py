@@ -8,12 +8,12 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class DialectHook(BuildHookInterface):
-    """Generates ``nff_companion/link/dialect/nff.py``."""
+    """Generates ``nff_companion/mavlink/dialect/nff.py``."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Generate before anything is packed."""
         sys.path.insert(0, str(Path(self.root) / "mavlink_dialect"))
         import generate
 
-        build_data["artifacts"].append("nff_companion/link/dialect/nff.py")
+        build_data["artifacts"].append("nff_companion/mavlink/dialect/nff.py")
         generate.generate()

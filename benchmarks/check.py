@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
-from nff_companion.trials import adaptation_bench, allocation_bench, loop_bench
-from nff_companion.trials.demo import DemoOptions, make_fleet
-from nff_companion.trials.virtual import VirtualFlight
+from sitl.trials import adaptation_bench, allocation_bench, loop_bench
+from sitl.trials.demo import DemoOptions, make_fleet
+from sitl.trials.virtual import VirtualFlight
 
 
 def step_over_solve() -> float:

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TARGET = HERE.parent / "nff_companion" / "link" / "dialect" / "nff.py"
+TARGET = HERE.parent / "nff_companion" / "mavlink" / "dialect" / "nff.py"
 _INCLUDED = ("common.xml", "standard.xml", "minimal.xml")
 
 

@@ -19,16 +19,16 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.allocation.planner import Planner, PlannerOptions
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop
+from nff_companion.core import basis_network
+from nff_companion.core.decision import Event
+from nff_companion.core.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState, Motion
+from nff_companion.core.flight_phase import FlightPhase, FlightPhaseOptions
+from nff_companion.core.full_matrix import FullMatrixOptions
+from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import SolverError
-from nff_companion.estimation.decision import Event
-from nff_companion.estimation.estimator import Estimate, Estimator, EstimatorOptions, EstimatorState, Motion
-from nff_companion.estimation.full_matrix import FullMatrixOptions
-from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
-from nff_companion.flight_phase import FlightPhase, FlightPhaseOptions
 from nff_companion.laws import LAWS, LateralFeed, LawName
-from nff_companion.learning import phi
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import TelemetryTable, Vehicle
 
 # Beyond what any vehicle survives: such a sample is a fault of the sensor or of the link.
 _GYRO_MAX_RAD_S, _FORCE_MAX_M_S2, _TIME_MAX_S = 60.0, 400.0, 1e8
@@ -87,7 +87,7 @@ class Pipeline:
         self.dt_s = 1.0 / rate_hz
         self.mode = options.mode
         self.law = LAWS[options.law]
-        self.network = phi.for_vehicle(vehicle, options.estimator.network if self.law.learn else "none")
+        self.network = basis_network.for_vehicle(vehicle, options.estimator.network if self.law.learn else "none")
         self.estimator = self._make_estimator()
         self._phase = FlightPhase(vehicle, options.flight_phase)
         self._planner = Planner(vehicle, allocator(options.allocation), options.planner)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from nff_companion.autopilots.base import Adapter
-from nff_companion.estimation.decision import Event
-from nff_companion.link.codec import Message, dialect
+from nff_companion.core.decision import Event
+from nff_companion.core.vehicle import AXES, Vehicle
+from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.pipeline import Mode, Output, Pipeline
-from nff_companion.vehicle import AXES, Vehicle
 
 _EFFECTIVENESS_S = 0.05
 _STATUS_S = 0.2

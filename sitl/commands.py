@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
 from sitl.autopilot.autopilot import Mode
 from sitl.faults import Fault
 from sitl.fleet import Fleet

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion.link.codec import Codec, Message, dialect
-from nff_companion.link.endpoint import Endpoint, open_endpoint
+from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.mavlink.endpoint import Endpoint, open_endpoint
 from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.commands import Commander
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
 from sitl import rotation
 from sitl.autopilot.autopilot import Autopilot, Mode
 from sitl.fleet import Fleet

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion import vehicle
 from nff_companion.autopilots.ardupilot import tunnel
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage
-from nff_companion.link.codec import COMPANION_COMPONENT, Codec, dialect
-from nff_companion.vehicle import Vehicle
+from nff_companion.core import vehicle
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, dialect
 from sitl import airframe
 from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions

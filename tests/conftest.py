@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 
 DATA = Path(__file__).parent / "data"
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nff_companion.autopilots.parameters import decode, encode, name_of
 from nff_companion.autopilots.px4.adapter import Px4Adapter
-from nff_companion.link.codec import COMPANION_COMPONENT, Codec, Message, dialect
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, Message, dialect
+from nff_companion.mavlink.services.parameter_reader import decode, encode, name_of
 
 V1_16 = 0x011000FF
 _REAL, _INT = dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_INT32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 from sitl import airframe
 from sitl.aerodynamics import Aerodynamics
 

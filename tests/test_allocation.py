@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from nff_companion import vehicle
 from nff_companion.allocation import METHODS, allocator, authority, problem_for, within_bounds
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.allocation.problem import normalised_columns
 from nff_companion.allocation.verify import fault_of
 from nff_companion.allocation.within_bounds import constrain, desaturate
+from nff_companion.core import vehicle
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import AllocationInfeasible, ConfigError
-from nff_companion.trials.allocation_bench import measure
-from nff_companion.vehicle import Vehicle
+from sitl.trials.allocation_bench import measure
 
 # Torque without saturation at hover, octo-X, motor 1 dead: hover fraction -> method -> roll, pitch, yaw.
 TABLE = {

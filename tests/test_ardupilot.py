@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from realtime import Flying, wait_for
 
-from nff_companion import vehicle
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots.ardupilot import checks, factors
 from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.ardupilot.install import install
+from nff_companion.core import vehicle
+from nff_companion.daemon.status_server import ask
 from nff_companion.errors import AllocationInfeasible, EndpointError
-from nff_companion.link.codec import dialect
-from nff_companion.status_server import ask
-from nff_companion.trials import survey
-from nff_companion.trials.demo import DemoOptions, free_port, make_fleet
-from nff_companion.trials.fly import arducopter
-from nff_companion.trials.process import DaemonProcess, config_text
+from nff_companion.mavlink.codec import dialect
+from sitl.trials import survey
+from sitl.trials.demo import DemoOptions, free_port, make_fleet
+from sitl.trials.fly import arducopter
+from sitl.trials.process import DaemonProcess, config_text
 
 ADJACENT = [[1, 3], [1, 5], [2, 4], [2, 6], [3, 8], [4, 8], [5, 7], [6, 7]]
 SAME_SPIN_90 = [[1, 7], [1, 8], [2, 7], [2, 8], [3, 4], [3, 5], [4, 6], [5, 6]]

@@ -7,11 +7,11 @@ import pytest
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, make_plan
-from nff_companion.autopilots.nff_dialect import NffDialectAdapter
+from nff_companion.autopilots.nff import NffDialectAdapter
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
-from nff_companion.link.codec import dialect
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import dialect
 from nff_companion.pipeline import Mode, Output
-from nff_companion.vehicle import Vehicle
 
 
 def imu(usec: int):

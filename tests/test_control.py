@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nff_companion.control.law import ControlLaw, Knowledge, Memory, Reference, State, steady_push
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STILL = np.zeros(3)

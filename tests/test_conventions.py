@@ -12,23 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nff_companion import host, vehicle
 from nff_companion.autopilots.base import Stream
-from nff_companion.autopilots.parameters import ParameterReader, encode, name_of
-from nff_companion.autopilots.streams import StreamMonitor
-from nff_companion.config import load
-from nff_companion.daemon import Daemon
+from nff_companion.core import vehicle
+from nff_companion.daemon.configuration import load
+from nff_companion.daemon.notify import Notifier
+from nff_companion.daemon.service import Daemon
 from nff_companion.errors import EndpointError
-from nff_companion.link.codec import Codec, dialect
-from nff_companion.link.endpoint import parse
-from nff_companion.link.hub import Hub
-from nff_companion.link.timesync import TimeSync
-from nff_companion.notify import Notifier
-from nff_companion.parameter_server import ParameterServer
-from nff_companion.pilot_text import PilotText
+from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.endpoint import parse
+from nff_companion.mavlink.hub import Hub
+from nff_companion.mavlink.services import host_status as host
+from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode, name_of
+from nff_companion.mavlink.services.parameter_server import ParameterServer
+from nff_companion.mavlink.services.pilot_text import PilotText
+from nff_companion.mavlink.services.streams import StreamMonitor
+from nff_companion.mavlink.services.timesync import TimeSync
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
-from nff_companion.trials.demo import free_port
-from nff_companion.trials.process import config_text
+from sitl.trials.demo import free_port
+from sitl.trials.process import config_text
 
 HEARTBEAT = dialect.MAVLink_heartbeat_message(14, 3, 128, 4, 4, 3)
 

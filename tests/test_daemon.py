@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from realtime import Flying, wait_for
 
-from nff_companion import vehicle
-from nff_companion.config import load
+from nff_companion.core import vehicle
+from nff_companion.daemon.configuration import load
+from nff_companion.daemon.status_server import ask
 from nff_companion.errors import ConfigError, EndpointError
-from nff_companion.link.codec import Codec, dialect
-from nff_companion.link.endpoint import parse
-from nff_companion.status_server import ask
-from nff_companion.trials.demo import DemoOptions, Recorder, free_port, make_fleet
-from nff_companion.trials.process import DaemonProcess, config_text
+from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.endpoint import parse
 from sitl import rotation
 from sitl.fleet import Fleet
+from sitl.trials.demo import DemoOptions, Recorder, free_port, make_fleet
+from sitl.trials.process import DaemonProcess, config_text
 
 ROOT = Path(__file__).parents[1]
 

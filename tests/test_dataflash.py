@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 from nff_companion.errors import LogError
-from nff_companion.learning.dataset import record
 from nff_companion.replay.run import rate_of, read, replay
+from nff_companion.training.dataset import record
 
 LOG = Path(__file__).parent / "data" / "arducopter.bin"
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
-from nff_companion.link.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, dialect
 
 XML = Path(__file__).parents[1] / "mavlink_dialect" / "nff.xml"
 MESSAGES = ElementTree.parse(XML).getroot().findall("messages/message")

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy import optimize, signal
 
-from nff_companion.estimation import hypotheses, sparse
-from nff_companion.estimation.decision import Decision, DecisionOptions, DecisionState, Hypothesis
-from nff_companion.estimation.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
-from nff_companion.estimation.filters import LowPass, lag_share, loss_response
-from nff_companion.estimation.neural_fly import AdaptationOptions
-from nff_companion.estimation.onset import (
+from nff_companion.core import hypotheses, sparse
+from nff_companion.core.adaptation import AdaptationOptions
+from nff_companion.core.decision import Decision, DecisionOptions, DecisionState, Hypothesis
+from nff_companion.core.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
+from nff_companion.core.filters import LowPass, lag_share, loss_response
+from nff_companion.core.onset import (
     MODEL_ERROR_SHARE,
     SINGLE_ERROR_SHARE,
     TOGETHER_ERROR_SHARE,
     YAW_ERROR_SHARE,
     OnsetBank,
 )
-from nff_companion.estimation.residual import SMOOTHING_S, ResidualFilter
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.residual import SMOOTHING_S, ResidualFilter
+from nff_companion.core.vehicle import Vehicle
 
 DT = 0.005
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nff_companion.estimation.full_matrix import FullMatrix, FullMatrixOptions
+from nff_companion.core.full_matrix import FullMatrix, FullMatrixOptions
 
 N, M = 4, 8
 

@@ -10,18 +10,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
+from nff_companion.core.adaptation import AdaptationOptions
+from nff_companion.core.estimator import EstimatorOptions
 from nff_companion.errors import NetworkError
-from nff_companion.estimation.estimator import EstimatorOptions
-from nff_companion.estimation.neural_fly import AdaptationOptions
 from nff_companion.laws import LAWS
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
-from nff_companion.trials.demo import DemoOptions, make_fleet
-from nff_companion.trials.paper import figures
-from nff_companion.trials.paper.figures import AXES, document
-from nff_companion.trials.paper.scenario import AFTER_S, GROUPS, Case, PaperOptions, Trace, fly, variants
-from nff_companion.trials.virtual import VirtualFlight
 from sitl.faults import Fault
+from sitl.trials.demo import DemoOptions, make_fleet
+from sitl.trials.paper import figures
+from sitl.trials.paper.figures import AXES, document
+from sitl.trials.paper.scenario import AFTER_S, GROUPS, Case, PaperOptions, Trace, fly, variants
+from sitl.trials.virtual import VirtualFlight
 
 
 @pytest.mark.parametrize("law", LAWS)

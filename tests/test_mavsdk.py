@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from realtime import Flying, wait_for
 
-from nff_companion import vehicle
-from nff_companion.trials.demo import free_port
+from nff_companion.core import vehicle
 from sitl import airframe
 from sitl.autopilot.autopilot import Mode
 from sitl.fleet import Fleet, FleetOptions
+from sitl.trials.demo import free_port
 
 mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is part of the extra sim, which make env installs")
 

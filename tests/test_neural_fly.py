@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nff_companion.estimation.neural_fly import Adaptation, AdaptationOptions
+from nff_companion.core.adaptation import Adaptation, AdaptationOptions
 
 K, N = 4, 3
 

@@ -11,20 +11,21 @@ import numpy as np
 import pytest
 from msgspec import convert
 
-from nff_companion import vehicle as vehicle_model
+from nff_companion.core import basis_network
+from nff_companion.core import vehicle as vehicle_model
+from nff_companion.core.basis_network import Basis
+from nff_companion.core.disturbance import Disturbance
+from nff_companion.core.features import COMMAND, NAMES, features
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
-from nff_companion.estimation.disturbance import Disturbance
-from nff_companion.learning import phi
-from nff_companion.learning.features import COMMAND, NAMES, features
-from nff_companion.learning.score import Score
-from nff_companion.vehicle import Vehicle
+from nff_companion.training.score import Score
 
 
 @pytest.fixture
-def basis(rng: np.random.Generator) -> phi.Basis:
+def basis(rng: np.random.Generator) -> basis_network.Basis:
     width = [len(NAMES), 12, 9, 5]
     pairs = list(itertools.pairwise(width))
-    return phi.Basis(
+    return basis_network.Basis(
         weights=tuple(rng.standard_normal((b, a)) / np.sqrt(a + b) for a, b in pairs),
         biases=tuple(rng.standard_normal(b) for _, b in pairs),
         mean=rng.standard_normal(len(NAMES)),
@@ -33,13 +34,13 @@ def basis(rng: np.random.Generator) -> phi.Basis:
         high=np.full(len(NAMES), 5.0),
         axis_scale=np.array([1.0, 5.0, 5.0, 0.3]),
         prior=0.1 * rng.standard_normal((6, 4)),
-        metadata={"format": phi.FORMAT, "inputs": list(NAMES)},
+        metadata={"format": basis_network.FORMAT, "inputs": list(NAMES)},
     )
 
 
-@pytest.mark.parametrize("name", phi.names())
+@pytest.mark.parametrize("name", basis_network.names())
 def test_shipped_networks_load_and_say_where_they_come_from(name: str) -> None:
-    basis = phi.load(phi.path_of(name))
+    basis = basis_network.load(basis_network.path_of(name))
     metadata = basis.metadata
     assert metadata["command"].startswith("nff train --airframe")
     assert len(metadata["data_sha256"]) == 64
@@ -53,22 +54,22 @@ def test_shipped_networks_load_and_say_where_they_come_from(name: str) -> None:
 @pytest.mark.parametrize("airframe", vehicle_model.names())
 def test_networks_that_airframes_name_hold_the_contraction(airframe: str) -> None:
     vehicle = vehicle_model.load(airframe)
-    basis = phi.for_vehicle(vehicle, "airframe")
+    basis = basis_network.for_vehicle(vehicle, "airframe")
     assert (basis is None) == (vehicle.network == "")
     if basis is not None:
         norm = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
         assert basis.contraction(basis.prior, vehicle, norm) < 1.0
 
 
-def test_a_network_comes_back_from_its_file_as_it_was(basis: phi.Basis, tmp_path: Path, rng) -> None:
+def test_a_network_comes_back_from_its_file_as_it_was(basis: Basis, tmp_path: Path, rng) -> None:
     basis.save(tmp_path / "network.npz")
-    back = phi.load(tmp_path / "network.npz")
+    back = basis_network.load(tmp_path / "network.npz")
     x = rng.standard_normal(len(NAMES))
     np.testing.assert_allclose(back(x), basis(x), atol=1e-5)
     assert back.metadata == basis.metadata
 
 
-def test_the_forward_pass_is_the_plain_one(basis: phi.Basis, rng: np.random.Generator) -> None:
+def test_the_forward_pass_is_the_plain_one(basis: Basis, rng: np.random.Generator) -> None:
     x = rng.uniform(-4, 4, len(NAMES))
     h = (x - basis.mean) / basis.scale
     for index, (weight, bias) in enumerate(zip(basis.weights, basis.biases, strict=True)):
@@ -76,13 +77,13 @@ def test_the_forward_pass_is_the_plain_one(basis: phi.Basis, rng: np.random.Gene
     np.testing.assert_allclose(basis(x), [*h, 1.0], atol=1e-12)
 
 
-def test_inputs_outside_the_training_flights_change_nothing_more(basis: phi.Basis) -> None:
+def test_inputs_outside_the_training_flights_change_nothing_more(basis: Basis) -> None:
     edge = np.full(len(NAMES), 6.5)
     np.testing.assert_allclose(basis(edge), basis(np.full(len(NAMES), 1e6)))
     assert np.isfinite(basis(np.full(len(NAMES), np.inf))).all()
 
 
-def test_the_lipschitz_bound_holds(basis: phi.Basis, octo: Vehicle, rng: np.random.Generator) -> None:
+def test_the_lipschitz_bound_holds(basis: Basis, octo: Vehicle, rng: np.random.Generator) -> None:
     row = octo.acceleration_effectiveness[0]
     for _ in range(300):
         x = rng.uniform(-5, 5, len(NAMES))
@@ -93,7 +94,7 @@ def test_the_lipschitz_bound_holds(basis: phi.Basis, octo: Vehicle, rng: np.rand
         assert change <= basis.lipschitz_u(octo) * np.linalg.norm(u - v) + 1e-12
 
 
-def test_a_is_projected_until_the_fixed_point_exists(basis: phi.Basis, octo: Vehicle) -> None:
+def test_a_is_projected_until_the_fixed_point_exists(basis: Basis, octo: Vehicle) -> None:
     a = 500.0 * np.ones_like(basis.prior)
     kept = basis.project(a, octo, 3.0)
     assert basis.contraction(kept, octo, 3.0) == pytest.approx(0.999)
@@ -102,10 +103,10 @@ def test_a_is_projected_until_the_fixed_point_exists(basis: phi.Basis, octo: Veh
     assert basis.project(small, octo, 3.0) is small
 
 
-def test_a_network_that_breaks_the_contraction_is_refused(basis: phi.Basis, octo: Vehicle, tmp_path: Path) -> None:
+def test_a_network_that_breaks_the_contraction_is_refused(basis: Basis, octo: Vehicle, tmp_path: Path) -> None:
     dataclasses.replace(basis, prior=1000.0 * np.ones_like(basis.prior)).save(tmp_path / "wild.npz")
     with pytest.raises(NetworkError, match=r"\(6\.8\)"):
-        phi.for_vehicle(octo, str(tmp_path / "wild.npz"))
+        basis_network.for_vehicle(octo, str(tmp_path / "wild.npz"))
 
 
 @pytest.mark.parametrize(
@@ -116,23 +117,23 @@ def test_a_network_that_breaks_the_contraction_is_refused(basis: phi.Basis, octo
         ({"prior": np.zeros((3, 4))}, "prior"),
         ({"axis_scale": np.array([1.0, math.nan, 1.0, 1.0])}, "finite"),
         ({"metadata": {"format": 99, "inputs": list(NAMES)}}, "format"),
-        ({"metadata": {"format": phi.FORMAT, "inputs": ["rpm"]}}, "inputs"),
+        ({"metadata": {"format": basis_network.FORMAT, "inputs": ["rpm"]}}, "inputs"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused(basis: phi.Basis, tmp_path: Path, change: dict, message: str) -> None:
+def test_a_file_that_does_not_fit_is_refused(basis: Basis, tmp_path: Path, change: dict, message: str) -> None:
     dataclasses.replace(basis, **change).save(tmp_path / "bad.npz")
     with pytest.raises(NetworkError, match=message):
-        phi.load(tmp_path / "bad.npz")
+        basis_network.load(tmp_path / "bad.npz")
 
 
 def test_garbage_and_unknown_names_are_refused_with_a_hint(tmp_path: Path) -> None:
     (tmp_path / "junk.npz").write_bytes(b"not a network")
     for choice in (str(tmp_path / "junk.npz"), str(tmp_path / "missing.npz"), "no-such-network"):
         with pytest.raises(NetworkError, match=r"nff train|one of"):
-            phi.load(phi.path_of(choice))
+            basis_network.load(basis_network.path_of(choice))
 
 
-def test_a_file_cut_short_is_refused_and_saving_leaves_nothing_else(basis: phi.Basis, tmp_path: Path) -> None:
+def test_a_file_cut_short_is_refused_and_saving_leaves_nothing_else(basis: Basis, tmp_path: Path) -> None:
     path = tmp_path / "network.npz"
     basis.save(path)
     assert [p.name for p in tmp_path.iterdir()] == ["network.npz"]
@@ -140,7 +141,7 @@ def test_a_file_cut_short_is_refused_and_saving_leaves_nothing_else(basis: phi.B
     for size in (0, 100, len(whole) // 2, len(whole) - 10):
         path.write_bytes(whole[:size])
         with pytest.raises(NetworkError, match="train it again"):
-            phi.load(path)
+            basis_network.load(path)
 
 
 def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) -> None:
@@ -165,7 +166,7 @@ def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) ->
     assert seen[0][6] > 0.1, "rolled right: gravity points to the right"
 
 
-def test_without_attitude_or_velocity_phi_fades_into_the_constant(basis: phi.Basis, octo: Vehicle, rng) -> None:
+def test_without_attitude_or_velocity_phi_fades_into_the_constant(basis: Basis, octo: Vehicle, rng) -> None:
     disturbance = Disturbance(octo, basis)
     state = disturbance.start()
     known = disturbance.basis(state, rng.uniform(-2, 2, len(NAMES)), 0.005)
@@ -177,7 +178,7 @@ def test_without_attitude_or_velocity_phi_fades_into_the_constant(basis: phi.Bas
     np.testing.assert_allclose(state.basis, np.eye(6)[-1], atol=0.01 * float(np.abs(known).max()))
 
 
-def test_a_is_within_the_bound_even_while_nothing_is_learnt(basis: phi.Basis, octo: Vehicle) -> None:
+def test_a_is_within_the_bound_even_while_nothing_is_learnt(basis: Basis, octo: Vehicle) -> None:
     """The bound falls when motors are declared, which is when learning rests."""
     disturbance = Disturbance(octo, basis)
     state = disturbance.start()

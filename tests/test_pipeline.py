@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
+from nff_companion.core.sample import Sample
 from nff_companion.errors import SolverError
 from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
-from nff_companion.telemetry import Sample
-from nff_companion.trials.virtual import VirtualFlight
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
+from sitl.trials.virtual import VirtualFlight
 
 RATE = 200.0
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from fake_px4 import FakePx4, talk
 
-from nff_companion import vehicle
-from nff_companion.autopilots.parameters import name_of
 from nff_companion.autopilots.px4 import allocator, remedy_book
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geometry_of
+from nff_companion.core import vehicle
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import JournalError
-from nff_companion.link.codec import dialect
+from nff_companion.mavlink.codec import dialect
+from nff_companion.mavlink.services.parameter_reader import name_of
 from nff_companion.pipeline import Mode, Output
-from nff_companion.trials.fly import px4 as px4_flights
-from nff_companion.vehicle import Vehicle
+from sitl.trials.fly import px4 as px4_flights
 
 # Both motors told dead drove all eight outputs of a flown PX4 v1.16 to zero.
 COLLAPSE = {(1, 7), (1, 8), (2, 7), (2, 8), (3, 4), (3, 5), (4, 6), (5, 6)}

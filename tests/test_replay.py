@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
+from nff_companion.core.sample import Sample
 from nff_companion.errors import LogError
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.replay import tlog
 from nff_companion.replay.run import rate_of, read, replay
-from nff_companion.telemetry import Sample
 
 EXCERPTS = json.loads((DATA / "truth.json").read_text(encoding="utf-8"))["logs"]
 RECORDED = Path(os.environ["NFF_DATA"]) if os.environ.get("NFF_DATA") else None

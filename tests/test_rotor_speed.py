@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
-from nff_companion.estimation.rotor_speed import RotorSpeedState, RotorSpeedWatch
-from nff_companion.link.codec import Codec, dialect
+from nff_companion.core import vehicle
+from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
+from nff_companion.core.sample import Sample
+from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.pipeline import PipelineOptions
-from nff_companion.telemetry import Sample
-from nff_companion.trials.virtual import VirtualFlight
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
+from sitl.trials.virtual import VirtualFlight
 
 FAIL_S = 4.0
 STOPPED_SHARE = 0.35

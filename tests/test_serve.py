@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 from nff_companion.errors import EndpointError, FrameError
-from nff_companion.link.codec import Codec, dialect
-from nff_companion.trials.demo import free_port
+from nff_companion.mavlink.codec import Codec, dialect
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.serve.ardupilot_json import ArduPilotServer, parse
 from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server, outputs_of, pressure_hpa
+from sitl.trials.demo import free_port
 
 DATA = Path(__file__).parent / "data"
 

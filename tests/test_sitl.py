@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from nff_companion import vehicle
+from nff_companion.core import vehicle
 from sitl import airframe, rotation
 from sitl.autopilot.companion_port import CompanionPort
 from sitl.autopilot.mixer import mix, normalised_effectiveness, stock_factors

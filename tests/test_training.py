@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nff_companion.core.basis_network import load
+from nff_companion.core.features import NAMES
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError, LogError
-from nff_companion.learning.dataset import Condition, Dataset, record, split
-from nff_companion.learning.features import NAMES
-from nff_companion.learning.phi import load
-from nff_companion.learning.score import score
-from nff_companion.vehicle import Vehicle
+from nff_companion.training.dataset import Condition, Dataset, record, split
+from nff_companion.training.score import score
 
 pytestmark = pytest.mark.train
-daiml = pytest.importorskip("nff_companion.learning.daiml", reason="NO NETWORK WAS TRAINED", exc_type=ImportError)
+daiml = pytest.importorskip("nff_companion.training.daiml", reason="NO NETWORK WAS TRAINED", exc_type=ImportError)
 torch, Trainer, TrainingOptions = daiml.torch, daiml.Trainer, daiml.TrainingOptions
 
 OPTIONS = TrainingOptions(iterations=200, hidden=(24, 24), functions=4, checkpoint_every=80)

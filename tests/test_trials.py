@@ -10,8 +10,8 @@ import pytest
 
 from nff_companion.cli.flight import parse_failures
 from nff_companion.errors import ConfigError
-from nff_companion.trials.detectors import pipeline_factory
-from nff_companion.trials.survey import SurveyOptions, failure_sets, run, summary
+from sitl.trials.detectors import pipeline_factory
+from sitl.trials.survey import SurveyOptions, failure_sets, run, summary
 
 NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 

@@ -13,7 +13,7 @@ from lupa.lua53 import LuaRuntime
 from nff_companion.autopilots.ardupilot import tunnel
 from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage, unpack
 from nff_companion.errors import TunnelError
-from nff_companion.link.codec import Codec
+from nff_companion.mavlink.codec import Codec
 
 _BYTES = {"mode": 255, "flags": 255, "motors": 12, "source": 3, "tables": 255}
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nff_companion.allocation.verify import GAIN_MAX
-from nff_companion.estimation.estimator import Estimate
-from nff_companion.estimation.full_matrix import FullMatrix, FullMatrixOptions
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.estimator import Estimate
+from nff_companion.core.full_matrix import FullMatrix, FullMatrixOptions
+from nff_companion.core.vehicle import Vehicle
 
 
 class AdaptedMatrix:

@@ -9,8 +9,8 @@ import numpy as np
 
 from nff_companion.allocation import Allocator, authority, problem_for
 from nff_companion.allocation.verify import fault_of
+from nff_companion.core.vehicle import YAW
 from nff_companion.errors import AllocationInfeasible, SolverError
-from nff_companion.vehicle import YAW
 
 # Below this share of full torque left for roll or pitch at hover, yaw is given up for them; while the vehicle is
 # still being caught after a failure, already from the larger one.

@@ -7,9 +7,9 @@ import numpy as np
 
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
-from nff_companion.estimation import sparse
-from nff_companion.estimation.estimator import Estimate
-from nff_companion.vehicle import Vehicle
+from nff_companion.core import sparse
+from nff_companion.core.estimator import Estimate
+from nff_companion.core.vehicle import Vehicle
 
 
 class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

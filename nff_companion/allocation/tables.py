@@ -8,7 +8,7 @@ import numpy as np
 
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, make_plan
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
 
 
 def mask_of(motors: tuple[int, ...]) -> int:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from nff_companion.vehicle import PITCH, ROLL, THRUST, YAW
+from nff_companion.core.vehicle import PITCH, ROLL, THRUST, YAW
 
 _PRIORITY = {THRUST: 0.2, ROLL: 1.0, PITCH: 1.0, YAW: 0.03}  # errors of normalised demand
 _CLOSE_TO_A = 1e-5  # eps: decides among the u that serve equally well

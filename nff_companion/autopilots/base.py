@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from nff_companion.link.codec import Message
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import TelemetryTable
+from nff_companion.mavlink.codec import Message
 from nff_companion.pipeline import Mode, Output
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import TelemetryTable
 
 
 @dataclass(frozen=True)

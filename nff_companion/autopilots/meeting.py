@@ -9,10 +9,10 @@ from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.base import Adapter
-from nff_companion.autopilots.nff_dialect import NffDialectAdapter
+from nff_companion.autopilots.nff import NffDialectAdapter
 from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
-from nff_companion.link.codec import dialect
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import dialect
 
 Kind = Literal["auto", "nff", "ardupilot", "px4"]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nff_companion.link.codec import Message, dialect
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import Message, dialect
 
 OUTPUT_AGE_MAX_S = 0.1
 STATE_AGE_MAX_S = 0.5

@@ -21,7 +21,7 @@ def loop(
     json: Json = False,
 ) -> None:
     """Last datagram of a sample in, override that answers it out; beside a bare MAVLink echo."""
-    from nff_companion.trials.loop_bench import measure
+    from sitl.trials.loop_bench import measure
 
     document = measure(rate_hz=rate, seconds=seconds, airframe=airframe)
     if json:
@@ -38,7 +38,7 @@ def allocation(
     json: Json = False,
 ) -> None:
     """Solve time and torque at hover of every allocation method, healthy and after each one or two failures."""
-    from nff_companion.trials.allocation_bench import measure
+    from sitl.trials.allocation_bench import measure
 
     document = measure(airframe=airframe, hover=hover)
     if json:
@@ -57,7 +57,7 @@ def adaptation(
     json: Json = False,
 ) -> None:
     """One adaptation step, basis network included."""
-    from nff_companion.trials.adaptation_bench import measure
+    from sitl.trials.adaptation_bench import measure
 
     document = measure(airframe)
     if json:
@@ -75,8 +75,8 @@ def ardupilot(
     json: Json = False,
 ) -> None:
     """Declaration to changed motor output on a real ArduCopter in hover, and the link's load, at telemetry rates."""
-    from nff_companion.trials.fly.arducopter import binary_from
-    from nff_companion.trials.fly.latency import measure
+    from sitl.trials.fly.arducopter import binary_from
+    from sitl.trials.fly.latency import measure
 
     document = measure(binary_from(arducopter), rate or [50.0, 100.0, 200.0], count)
     if json:

@@ -29,9 +29,9 @@ def compare(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")] = False,
 ) -> None:
     """Fly the published experiment with every controller and print its table beside the published one."""
-    from nff_companion.trials.paper.figures import document
-    from nff_companion.trials.paper.run import run
-    from nff_companion.trials.paper.scenario import CONTROLLERS, PaperOptions, variants
+    from sitl.trials.paper.figures import document
+    from sitl.trials.paper.run import run
+    from sitl.trials.paper.scenario import CONTROLLERS, PaperOptions, variants
 
     if scenario != "paper":
         raise ConfigError(f"scenario {scenario!r} is unknown: choose paper")
@@ -47,7 +47,7 @@ def compare(
     traces = run(options, workers or None)
     result = document(traces)
     if draw is not None:
-        from nff_companion.trials.paper.drawing import draw as draw_figures
+        from sitl.trials.paper.drawing import draw as draw_figures
 
         for path in draw_figures(traces, draw):
             console.print(f"drawn: {path}", highlight=False)
@@ -58,8 +58,8 @@ def compare(
 
 
 def _print(result: dict[str, Any]) -> None:
-    from nff_companion.trials.paper import published
-    from nff_companion.trials.paper.figures import AXES
+    from sitl.trials.paper import published
+    from sitl.trials.paper.figures import AXES
 
     def line(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from nff_companion.cli.output import console, print_json, setup_logging
-from nff_companion.config import MODES
+from nff_companion.daemon.configuration import MODES
 from nff_companion.errors import ConfigError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -57,7 +57,7 @@ def sitl(
     if personality not in ("plain", "ardupilot"):
         raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
     if serve_px4 or serve_ardupilot:
-        from nff_companion.trials.serve import ServeOptions, serve
+        from sitl.trials.serve import ServeOptions, serve
 
         setup_logging()
         options_served = ServeOptions(
@@ -73,13 +73,13 @@ def sitl(
         if json:
             print_json(document)
         return
-    from nff_companion import vehicle
-    from nff_companion.trials.demo import crash_report
+    from nff_companion.core import vehicle
     from sitl import airframe as plant_airframe
     from sitl.faults import Fault
     from sitl.fleet import Fleet, FleetOptions
     from sitl.link_model import LinkOptions
     from sitl.server import Server
+    from sitl.trials.demo import crash_report
 
     setup_logging()
     urls = endpoint or ["udpout:127.0.0.1:14561", "udpout:127.0.0.1:14540"]
@@ -96,7 +96,7 @@ def sitl(
     link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
     card = None
     if personality == "ardupilot":
-        from nff_companion.trials.wire import Workshop, temporary_card
+        from sitl.trials.wire import Workshop, temporary_card
 
         card = temporary_card()
         Workshop.prepare(vehicle.load(airframe, thrust_to_weight=thrust_to_weight or None), "trim", card.name)
@@ -125,8 +125,8 @@ def demo(
     json: Json = False,
 ) -> None:
     """Fly the same flight twice over UDP, without and with the companion, and compare."""
-    from nff_companion.trials import demo as demonstration
-    from nff_companion.trials.report import write_report
+    from sitl.trials import demo as demonstration
+    from sitl.trials.report import write_report
 
     if mode not in MODES:
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from nff_companion.cli.output import console, print_json
-from nff_companion.config import MODES
+from nff_companion.daemon.configuration import MODES
 from nff_companion.errors import ConfigError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -53,9 +53,9 @@ def ardupilot(
     json: Json = False,
 ) -> None:
     """Take off, hover or fly a square, fail motors, and compare."""
-    from nff_companion import vehicle
-    from nff_companion.trials.fly import arducopter as flights
-    from nff_companion.trials.fly import campaign as campaigns
+    from nff_companion.core import vehicle
+    from sitl.trials.fly import arducopter as flights
+    from sitl.trials.fly import campaign as campaigns
 
     if mode not in MODES:
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -102,9 +102,9 @@ def px4(
     json: Json = False,
 ) -> None:
     """Hold at 30 m on our plant, fail motors, and compare."""
-    from nff_companion import vehicle
-    from nff_companion.trials.fly import campaign as campaigns
-    from nff_companion.trials.fly import px4 as flights
+    from nff_companion.core import vehicle
+    from sitl.trials.fly import campaign as campaigns
+    from sitl.trials.fly import px4 as flights
 
     if campaign not in ("", "singles", "adjacent", "pairs", "healthy"):
         raise ConfigError(f"campaign {campaign!r} is unknown: choose singles, adjacent, pairs or healthy")
@@ -142,8 +142,8 @@ def install(
     json: Json = False,
 ) -> None:
     """Write scripts, the airframe's allocation tables and a parameter file."""
-    from nff_companion import vehicle
     from nff_companion.autopilots.ardupilot.install import install as write
+    from nff_companion.core import vehicle
 
     files = write(vehicle.load(airframe), to, scripted=not outputs_only)
     for path in files:

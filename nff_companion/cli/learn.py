@@ -16,9 +16,9 @@ from nff_companion.cli.output import console, print_json
 from nff_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
-    from nff_companion.learning.dataset import Condition, Dataset
-    from nff_companion.learning.score import Score
-    from nff_companion.vehicle import Vehicle
+    from nff_companion.core.vehicle import Vehicle
+    from nff_companion.training.dataset import Condition, Dataset
+    from nff_companion.training.score import Score
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 Logs = Annotated[list[Path] | None, typer.Option("--log", help="Flight log: .ulg, .bin or .tlog; several.")]
@@ -46,10 +46,10 @@ def train(
 
     # Deterministic matrix products on a GPU need it, before torch is loaded.
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
-    from nff_companion import vehicle as vehicle_model
-    from nff_companion.learning.daiml import Trainer, TrainingOptions
-    from nff_companion.learning.phi import check
-    from nff_companion.learning.score import score
+    from nff_companion.core import vehicle as vehicle_model
+    from nff_companion.core.basis_network import check
+    from nff_companion.training.daiml import Trainer, TrainingOptions
+    from nff_companion.training.score import score
 
     if bool(log) == bool(simulate):
         raise ConfigError("give either --log FILE (several) or --simulate N")
@@ -62,7 +62,7 @@ def train(
     if log:
         known, unseen, held_out = _held_out(vehicle, log)
     else:
-        from nff_companion.trials.training import simulate as fly
+        from sitl.trials.training import simulate as fly
 
         held_out = "whole flights"
         console.print(f"flying {simulate} flights to train on and {_TEST_FLIGHTS} to score", highlight=False)
@@ -113,10 +113,10 @@ def score_command(
     json: Json = False,
 ) -> None:
     """One-step-ahead prediction of a network on flights that it was not trained on, beside a constant phi."""
-    from nff_companion import vehicle as vehicle_model
-    from nff_companion.learning.dataset import Dataset
-    from nff_companion.learning.phi import for_vehicle
-    from nff_companion.learning.score import score
+    from nff_companion.core import vehicle as vehicle_model
+    from nff_companion.core.basis_network import for_vehicle
+    from nff_companion.training.dataset import Dataset
+    from nff_companion.training.score import score
 
     if bool(log) == bool(simulate):
         raise ConfigError("give either --log FILE (several) or --simulate N")
@@ -127,7 +127,7 @@ def score_command(
     if log:
         data = Dataset([part for flight in _flights(vehicle, log) for part in flight])
     else:
-        from nff_companion.trials.training import simulate as fly
+        from sitl.trials.training import simulate as fly
 
         data = fly(airframe, simulate, test=True, seed=seed)
     result = score(vehicle, basis, data)
@@ -139,8 +139,8 @@ def score_command(
 
 def _flights(vehicle: Vehicle, logs: list[Path]) -> list[list[Condition]]:
     """The conditions of each log. Raises LogError."""
-    from nff_companion.learning.dataset import record, split
     from nff_companion.replay.run import rate_of, read
+    from nff_companion.training.dataset import record, split
 
     flights = []
     for path in logs:
@@ -152,7 +152,7 @@ def _flights(vehicle: Vehicle, logs: list[Path]) -> list[list[Condition]]:
 
 def _held_out(vehicle: Vehicle, logs: list[Path]) -> tuple[Dataset, Dataset, str]:
     """Conditions to train on, conditions to score on, and what these are. Raises LogError."""
-    from nff_companion.learning.dataset import Dataset
+    from nff_companion.training.dataset import Dataset
 
     flights = _flights(vehicle, logs)
     conditions = [part for flight in flights for part in flight]
@@ -172,7 +172,7 @@ def _held_out(vehicle: Vehicle, logs: list[Path]) -> tuple[Dataset, Dataset, str
 
 
 def _print_score(result: Score) -> None:
-    from nff_companion.vehicle import AXES
+    from nff_companion.core.vehicle import AXES
 
     for index, axis in enumerate(AXES):
         console.print(

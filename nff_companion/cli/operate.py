@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from nff_companion.cli.output import console, print_json, setup_logging
-from nff_companion.config import default_status_socket
+from nff_companion.daemon.configuration import default_status_socket
 from nff_companion.errors import EndpointError
 
 Socket = Annotated[str, typer.Option("--socket", help="Status socket of the daemon.")]
@@ -21,12 +21,11 @@ def run(
     json: Json = False,
 ) -> None:
     """Run the daemon until it is told to stop."""
-    from nff_companion import config as configuration
-    from nff_companion import daemon
+    from nff_companion.daemon import configuration, service
 
     setup_logging()
     loaded = configuration.load(config)
-    code = daemon.run(loaded)
+    code = service.run(loaded)
     if json:
         print_json({"config": str(config), "exit": code})
     raise typer.Exit(code)
@@ -69,7 +68,7 @@ def status(
     """Show what the companion believes and does."""
     from rich.live import Live
 
-    from nff_companion.status_server import ask
+    from nff_companion.daemon.status_server import ask
 
     path = socket or default_status_socket()
     if json or once:
@@ -91,7 +90,7 @@ def status(
 
 
 def _command(socket: str, request: dict[str, Any], json: bool) -> None:
-    from nff_companion.status_server import ask
+    from nff_companion.daemon.status_server import ask
 
     answer = ask(socket or default_status_socket(), request)
     if json:
@@ -119,8 +118,8 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Check link, autopilot, applet, parameters, motor order and rates before arming. Exit code 1: not ready."""
-    from nff_companion import config as configuration
-    from nff_companion.doctor import Doctor
+    from nff_companion.daemon import configuration
+    from nff_companion.daemon.doctor import Doctor
 
     findings = Doctor(configuration.load(config)).examine(timeout)
     marks = {True: "[green]ok[/green]  ", False: "[red]NOT[/red] ", None: "note"}

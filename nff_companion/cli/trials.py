@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from nff_companion.cli.output import console, print_json
-from nff_companion.config import MODES
+from nff_companion.daemon.configuration import MODES
 from nff_companion.errors import ConfigError, LogError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -41,8 +41,8 @@ def survey(
     json: Json = False,
 ) -> None:
     """Fly every failure in virtual time, with and without the companion."""
-    from nff_companion import vehicle
-    from nff_companion.trials import survey as surveys
+    from nff_companion.core import vehicle
+    from sitl.trials import survey as surveys
 
     if mode not in MODES:
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -97,7 +97,7 @@ def replay(
     json: Json = False,
 ) -> None:
     """Find failed motors in flight logs. Exit code 0: none, 1: found, 2: a log was unreadable."""
-    from nff_companion import vehicle as vehicle_model
+    from nff_companion.core import vehicle as vehicle_model
     from nff_companion.replay.run import replay as replay_log
 
     vehicle = vehicle_model.load(airframe)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nff_companion.estimation.filters import lag_share
-from nff_companion.vehicle import GRAVITY_M_S2, Vehicle
+from nff_companion.core.filters import lag_share
+from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
 
 _TILT_MAX_RAD = math.radians(30.0)
 _POSITION_ERROR_MAX_M = 4.0

@@ -8,8 +8,8 @@ import numpy as np
 
 from nff_companion.allocation.within_bounds import constrain, desaturate
 from nff_companion.control.law import Axes, ControlLaw, Knowledge, Memory, Reference, State
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
 
 _SERVED = 1e-6  # of an axis' torque: less than this missing is no saturation
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
 
 # SERVOn_FUNCTION of motors 1 to 12 (SRV_Channel.h); EV ids (AP_Logger LogEvent).
 _MOTOR_FUNCTIONS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)

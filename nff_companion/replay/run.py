@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.core.decision import Event
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError
-from nff_companion.estimation.decision import Event
 from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.replay import dataflash, tlog, ulog
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
 _SAMPLES_MIN = 100

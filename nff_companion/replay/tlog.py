@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError
-from nff_companion.link.codec import Codec, Message, dialect
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import Vehicle
+from nff_companion.mavlink.codec import Codec, Message, dialect
 
 _STAMP = struct.Struct(">Q")
 _V1, _V2 = 0xFE, 0xFD

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import LogTable, Vehicle
 from nff_companion.errors import LogError
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import LogTable, Vehicle
 
 _DEFAULT = LogTable(topic="actuator_outputs", field="output[{}]", unit="pwm")
 _IMU = "sensor_combined"

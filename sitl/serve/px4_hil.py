@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from nff_companion.errors import EndpointError, FrameError
-from nff_companion.link.codec import Codec, Message, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
 from sitl import rotation
 from sitl.serve.physics import Physics, pace
 from sitl.telemetry import HOME_ALTITUDE_M, to_global

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from nff_companion import vehicle as vehicle_model
+from nff_companion.core import vehicle as vehicle_model
+from nff_companion.core.sample import Sample
 from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
-from nff_companion.telemetry import Sample
-from nff_companion.trials import forward
-from nff_companion.trials.virtual import VirtualFlight
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials import forward
+from sitl.trials.virtual import VirtualFlight
 
 FOLDER = Path(__file__).parent
 KEEP_EVERY = 10  # of the steps, in full; of all of them the digest

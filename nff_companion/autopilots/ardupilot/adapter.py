@@ -8,13 +8,13 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
 from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
-from nff_companion.autopilots.parameters import ParameterReader
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import AllocationInfeasible, TunnelError
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
+from nff_companion.mavlink.services.parameter_reader import ParameterReader
 from nff_companion.pipeline import Mode, Output
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import TelemetryTable, Vehicle
 
 MATRIX_TIMEOUT_MS = 500
 OVERRIDE_TIMEOUT_MS = 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
 
 FRAME_CLASS_SCRIPTED = 17
 _FRAME_CLASSES = {4: (1,), 6: (2, 5, 13), 8: (3, 4), 10: (14,), 12: (12, 15)}

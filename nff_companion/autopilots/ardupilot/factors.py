@@ -12,8 +12,8 @@ import numpy as np
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot.tunnel import FACTOR_MAX, FACTOR_SCALE
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import AllocationInfeasible
-from nff_companion.vehicle import Vehicle
 
 _TORQUE = 0.5
 

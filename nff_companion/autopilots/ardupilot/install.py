@@ -9,8 +9,8 @@ import numpy as np
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots.ardupilot import checks, factors
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError
-from nff_companion.vehicle import Vehicle
 
 SCRIPTS = ("nff_companion.lua", "nff_watchdog.lua")
 MODULES = ("nff_protocol.lua",)

@@ -31,7 +31,7 @@ from enum import IntEnum
 import numpy as np
 
 from nff_companion.errors import TunnelError
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
 
 VERSION = 1
 TO_AUTOPILOT, TO_COMPANION = 54100, 54101

@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 
 from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
-from nff_companion.autopilots.parameters import ParameterReader, encode
 from nff_companion.autopilots.px4 import outputs
 from nff_companion.autopilots.px4.injection import INJECTION_NEEDS, Injection
 from nff_companion.autopilots.px4.journal import Entry, Journal
@@ -21,11 +20,12 @@ from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, disag
 from nff_companion.autopilots.px4.remedy_book import RemedyBook
 from nff_companion.autopilots.px4.versions import behaviour, version_of
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import JournalError
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
+from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode
 from nff_companion.pipeline import Mode, Output
-from nff_companion.telemetry import Sample
-from nff_companion.vehicle import TelemetryTable, Vehicle
 
 _RATE_MAX_HZ = 250.0
 _RESEND_S = 0.05

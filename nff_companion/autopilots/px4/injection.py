@@ -8,7 +8,7 @@ import numpy as np
 
 from nff_companion.autopilots.px4.remedy import Advisor
 from nff_companion.autopilots.px4.versions import behaviour
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
 
 INJECTION_NEEDS = {"SYS_FAILURE_EN": 1.0, "CA_FAILURE_MODE": 1.0, "FD_ACT_EN": 1.0}
 _RESEND_S = 0.05

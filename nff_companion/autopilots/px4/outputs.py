@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
 
 _MOTOR_FUNCTION = 100  # PWM_MAIN_FUNCn of motor n, less n
 _GROUPS = 4

@@ -12,7 +12,7 @@ import numpy as np
 
 from nff_companion.autopilots.px4 import allocator
 from nff_companion.autopilots.px4.allocator import Geometry
-from nff_companion.vehicle import Vehicle
+from nff_companion.core.vehicle import Vehicle
 
 _THRUST_RESERVE = 1.0  # largest thrust over weight that the told allocator must reach
 _BIAS_MAX = 0.03  # of an axis' full torque left over at hover

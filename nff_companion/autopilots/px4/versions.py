@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nff_companion.link.codec import dialect
+from nff_companion.mavlink.codec import dialect
 
 
 @dataclass(frozen=True)

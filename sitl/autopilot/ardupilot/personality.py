@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion.link.codec import Message, dialect
+from nff_companion.mavlink.codec import Message, dialect
 from sitl.autopilot.ardupilot.lua_host import LuaHost
 from sitl.autopilot.ardupilot.port import ScriptedPort
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet

@@ -1,0 +1,208 @@
+"""The basis network phi(x, u): loading with its checks, and the forward pass in numpy.
+
+An ``.npz`` of float32 arrays and a JSON text ``metadata``. ReLU between layers, none after the last; a constant 1 is
+appended to the k outputs, so that the basis has k + 1 functions and the constant disturbance is the special case k = 0.
+The residual of axis i in SI is  y_i = axis_scale_i * (phi a)_i.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nff_companion.core.features import COMMAND, NAMES
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.errors import NetworkError
+
+FORMAT = 1
+# What (6.8) may amount to at the nominal allocation, and in flight with the allocation then in force.
+CONTRACTION_MAX = 1.0
+_OUTSIDE = 0.15  # inputs are held within the range of the training flights, and this share of it more
+
+
+@dataclass(frozen=True)
+class Basis:
+    """One network, immutable."""
+
+    weights: tuple[np.ndarray, ...]  # (out, in) each
+    biases: tuple[np.ndarray, ...]
+    mean: np.ndarray  # (d,) of the inputs
+    scale: np.ndarray  # (d,)
+    low: np.ndarray  # (d,) range of the training flights
+    high: np.ndarray
+    axis_scale: np.ndarray  # (n,) SI
+    prior: np.ndarray  # a0 (k + 1, n)
+    metadata: dict[str, Any]
+
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """phi (k + 1,), the last one 1, of an input vector (d,)."""
+        first, offset = self._first
+        x = np.minimum(np.maximum(features, self._lowest), self._highest)
+        h = first @ x + offset
+        for weight, bias in zip(self.weights[1:], self.biases[1:], strict=True):
+            h = weight @ np.maximum(h, 0.0) + bias
+        return np.append(h, 1.0)
+
+    @property
+    def functions(self) -> int:
+        """k + 1."""
+        return len(self.prior)
+
+    @property
+    def label(self) -> str:
+        """Which network this is, for people."""
+        m = self.metadata
+        covers = ", ".join(m.get("covers", [])) or "no axis by its score"
+        return f"{m.get('airframe', 'unnamed')}, {m.get('minutes', '?')} min, {m.get('data_sha256', '')[:8]}: {covers}"
+
+    @cached_property
+    def _first(self) -> tuple[np.ndarray, np.ndarray]:
+        """First layer with the normalisation of the inputs folded in."""
+        weight = self.weights[0] / self.scale
+        return weight, self.biases[0] - weight @ self.mean
+
+    @cached_property
+    def _lowest(self) -> np.ndarray:
+        return self.low - _OUTSIDE * (self.high - self.low)
+
+    @cached_property
+    def _highest(self) -> np.ndarray:
+        return self.high + _OUTSIDE * (self.high - self.low)
+
+    @cached_property
+    def spectral_norms(self) -> tuple[float, ...]:
+        """Largest singular value of each layer."""
+        return tuple(float(np.linalg.norm(w, 2)) for w in self.weights)
+
+    @cached_property
+    def lipschitz_command(self) -> float:
+        """Bound of |d phi| per m/s^2 of commanded thrust: the layers' norms, of the first one only the column that the
+        command enters by."""
+        first = float(np.linalg.norm(self.weights[0][:, COMMAND]) / self.scale[COMMAND])
+        return first * float(np.prod(self.spectral_norms[1:]))
+
+    def lipschitz_u(self, vehicle: Vehicle) -> float:
+        """Lip_u(phi): the same per thrust fraction of the motors."""
+        return self.lipschitz_command * vehicle.thrust_norm
+
+    def contraction(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> float:
+        """Left side of (6.8), sigma(A) Lip_u(phi) |a|, in the normalised units of A; below 1 the law's fixed point
+        (6.7) exists and is reached."""
+        unit = vehicle.normalised_per_acceleration * self.axis_scale
+        return allocation_norm * self.lipschitz_u(vehicle) * float(np.linalg.norm(a[:-1] * unit, 2))
+
+    def project(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> np.ndarray:
+        """a (k + 1, n), its network part shortened until (6.8) holds for A of norm ``allocation_norm``."""
+        size = self.contraction(a, vehicle, allocation_norm)
+        if size < CONTRACTION_MAX:
+            return a
+        out = a.copy()
+        out[:-1] *= 0.999 * CONTRACTION_MAX / size
+        return out
+
+    def save(self, path: Path) -> None:
+        """Write the file that ``load`` reads; whoever is killed meanwhile leaves the old one."""
+        arrays: dict[str, np.ndarray] = {}
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays[f"weight_{index}"], arrays[f"bias_{index}"] = weight, bias
+        for name in ("mean", "scale", "low", "high", "axis_scale", "prior"):
+            arrays[name] = getattr(self, name)
+        compact = {name: value.astype(np.float32) for name, value in arrays.items()}
+        compact["metadata"] = np.array(json.dumps(self.metadata, sort_keys=True))
+        partial = path.with_suffix(".part.npz")
+        np.savez(partial, allow_pickle=False, **compact)
+        partial.replace(path)
+
+
+def load(path: Path) -> Basis:
+    """Read a network. Raises NetworkError when the file is unreadable, inconsistent or not finite."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        metadata = json.loads(str(arrays.pop("metadata")))
+        numbers = {name: value.astype(float) for name, value in arrays.items()}
+        layers = sum(name.startswith("weight_") for name in numbers)
+        basis = Basis(
+            weights=tuple(numbers[f"weight_{i}"] for i in range(layers)),
+            biases=tuple(numbers[f"bias_{i}"] for i in range(layers)),
+            metadata=metadata,
+            **{name: numbers[name] for name in ("mean", "scale", "low", "high", "axis_scale", "prior")},
+        )
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise NetworkError(f"network {path} cannot be read: {error}; train it again with nff train") from error
+    fault = _fault_of(basis, numbers)
+    if fault:
+        raise NetworkError(f"network {path}: {fault}; train it again with nff train")
+    return basis
+
+
+def _fault_of(basis: Basis, numbers: dict[str, np.ndarray]) -> str | None:
+    metadata = basis.metadata
+    if not isinstance(metadata, dict):
+        return "its metadata are not a table"
+    if metadata.get("format") != FORMAT:
+        return f"format {metadata.get('format')!r}, expected {FORMAT}"
+    if metadata.get("inputs") != list(NAMES):
+        return "its inputs are not those of this version"
+    width = [len(NAMES), *(len(bias) for bias in basis.biases)]
+    if not basis.weights or any(
+        w.shape != (b, a) for w, a, b in zip(basis.weights, width[:-1], width[1:], strict=True)
+    ):
+        return f"layers do not fit each other: {[w.shape for w in basis.weights]}"
+    if basis.prior.shape != (width[-1] + 1, len(basis.axis_scale)):
+        return f"prior of shape {basis.prior.shape} for {width[-1]} outputs and {len(basis.axis_scale)} axes"
+    for name in ("mean", "scale", "low", "high"):
+        if numbers[name].shape != (len(NAMES),):
+            return f"{name} of shape {numbers[name].shape}, expected {(len(NAMES),)}"
+    if not all(np.isfinite(value).all() for value in numbers.values()):
+        return "entries are not finite"
+    if (basis.scale <= 0.0).any() or (basis.axis_scale <= 0.0).any() or (basis.low > basis.high).any():
+        return "a scale is not positive, or a range is empty"
+    return None
+
+
+def names() -> list[str]:
+    """Networks shipped with the package."""
+    folder = resources.files("nff_companion") / "networks"
+    return sorted(f.name.removesuffix(".npz") for f in folder.iterdir() if f.name.endswith(".npz"))
+
+
+def path_of(name: str) -> Path:
+    """File of a shipped network, or ``name`` itself when it is a path to an .npz file. Raises NetworkError."""
+    if name.endswith(".npz"):
+        return Path(name)
+    if name not in names():
+        raise NetworkError(f"network {name!r} is unknown: give a path to an .npz file or one of {', '.join(names())}")
+    return Path(str(resources.files("nff_companion") / "networks" / f"{name}.npz"))
+
+
+def for_vehicle(vehicle: Vehicle, choice: str) -> Basis | None:
+    """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, ``none``, a shipped name or
+    a path. None: a constant basis. Raises NetworkError, also when the network breaks (6.8) with the nominal
+    allocation."""
+    name = vehicle.network if choice == "airframe" else "" if choice == "none" else choice
+    if not name:
+        return None
+    basis = load(path_of(name))
+    check(basis, vehicle, name)
+    return basis
+
+
+def check(basis: Basis, vehicle: Vehicle, name: str) -> None:
+    """Raises NetworkError when ``basis`` has other axes than ``vehicle``, or breaks (6.8) with the nominal A."""
+    if len(basis.axis_scale) != vehicle.axes:
+        raise NetworkError(f"network {name} covers {len(basis.axis_scale)} axes, {vehicle.name} has {vehicle.axes}")
+    nominal = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
+    size = basis.contraction(basis.prior, vehicle, nominal)
+    if not size < CONTRACTION_MAX:
+        raise NetworkError(
+            f"network {name} breaks (6.8) on {vehicle.name}: sigma(A) Lip_u(phi) |a| = {size:.2f}, below"
+            f" {CONTRACTION_MAX} is needed: its answer to its own command would not settle; train it with a lower cap"
+        )

@@ -1,0 +1,253 @@
+"""From scores to declarations: which motors have failed, with confidence, hysteresis and a latch.
+
+A declaration is made when one hypothesis (a motor, or a pair) explains the residual, no other does nearly as well,
+and the loss is large. It latches: at u = 0 the data say nothing of a motor and the l1 term would bring its estimate
+back to healthy. It is lifted by the operator, or by evidence while the motor is driven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import msgspec
+import numpy as np
+
+from nff_companion.core import hypotheses
+from nff_companion.core.onset import OnsetSums
+
+
+class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Thresholds of the decision. Improvements in nats of the weighted residual."""
+
+    improvement_min: float = 18.0  # over "no failure": mean time between false alarms grows as its exponential
+    margin_min: float = 6.0  # over the next hypothesis
+    pair_min: float = 6.0  # that only a second motor brings, to need a second motor
+    explained_min: float = 0.70  # share of the residual's energy that the hypothesis explains
+    loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
+    loss_settled: float = 0.78  # least mean loss, where an onset is old enough for its loss to be known well, and of
+    # two named at once: partly lost, two motors can look like any gust
+    settled_s: float = 0.095
+    loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
+    loss_others: float = 0.30  # of a second motor, beside which nothing gradual is declared
+    confirm_s: float = 0.008
+    confirm_gradual_s: float = 0.3
+    confirm_ambiguous_s: float = 0.015  # for pairs, which have more look-alikes
+    failed_max: int = 4
+    lift_effectiveness: float = 0.8
+    lift_driven: float = 0.15  # thrust fraction that counts as driven
+    lift_s: float = 1.5
+    direct_min: float = 4.0  # improvement, where rotor speeds already name the motors
+    direct_behind: float = 3.0  # by which another hypothesis may be better then
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Best explanation of the moment: motors (indices from 0), their losses e, and how sure."""
+
+    motors: tuple[int, ...]
+    loss: tuple[float, ...]
+    improvement: float
+    margin: float
+    explained: float
+    age_s: float
+
+    @property
+    def confidence(self) -> float:
+        """Probability against the next hypothesis."""
+        return float(1.0 / (1.0 + np.exp(-min(self.margin, 50.0))))
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A declaration or its lifting. ``motor`` counts from 1."""
+
+    time_s: float
+    motor: int
+    declared: bool
+    effectiveness: float
+    confidence: float
+
+
+@dataclass(slots=True)
+class DecisionState:
+    """What is declared and what is being confirmed."""
+
+    failed: np.ndarray  # (m,) bool, latched
+    candidate: tuple[int, ...] = ()
+    since_s: float = 0.0
+    gradual_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: not low
+    healthy_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: no evidence
+    quiet: bool = True  # nothing is being confirmed
+
+    @staticmethod
+    def start(motors: int) -> DecisionState:
+        """Nothing declared."""
+        never = np.full(motors, np.nan)
+        return DecisionState(np.zeros(motors, bool), (), 0.0, never.copy(), never.copy())
+
+
+class Decision:
+    """Thresholds and the hypotheses of an airframe with m motors."""
+
+    def __init__(self, motors: int, axes: int, options: DecisionOptions) -> None:
+        self.options = options
+        # With fewer motors than axes left nothing can be told apart, nor done about it.
+        self._failed_max = max(1, min(options.failed_max, motors - axes))
+        self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
+
+    def best(self, sums: OnsetSums, failed: np.ndarray, gamma: float) -> Hypothesis | None:
+        """The hypothesis that explains the windows best, None when none improves enough."""
+        o = self.options
+        nuisance = np.flatnonzero(failed)
+        matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
+        one = hypotheses.singles(matrix, vector, gamma)
+        one_best = one.improvement.max(axis=0)  # over onsets
+        first = int(one_best.argmax())
+        if one_best[first] < 0.5 * o.improvement_min:
+            return None
+        pairs = self._pairs
+        if len(nuisance):
+            pairs = pairs[~failed[pairs].any(axis=1)]
+        if len(pairs) == 0:
+            return self._describe((first,), one, first, matrix, vector, energy, sums, one_best, np.zeros(0))
+        two = hypotheses.pairs(matrix, vector, gamma, pairs[:, 0], pairs[:, 1])
+        two_best = two.improvement.max(axis=0)
+        best = int(two_best.argmax())
+        gain = two_best[best] - one_best[first]
+        if gain > o.pair_min:
+            others = np.delete(two_best, best)
+            return self._describe(tuple(pairs[best]), two, best, matrix, vector, energy, sums, others, one_best)
+        # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
+        without = two_best[(pairs != first).all(axis=1)] - o.pair_min
+        others = np.delete(one_best, first)
+        return self._describe((first,), one, first, matrix, vector, energy, sums, others, without)
+
+    def direct(self, sums: OnsetSums, failed: np.ndarray, stopped: tuple[int, ...], gamma: float) -> Hypothesis | None:
+        """The hypothesis that exactly the motors ``stopped`` (indices), which stand still by their rotor speeds, have
+        failed; None when the residual does not agree."""
+        o = self.options
+        matrix, vector, energy, _ = hypotheses.without_nuisance(
+            sums.matrix, sums.vector, sums.energy, np.flatnonzero(failed)
+        )
+        one = hypotheses.singles(matrix, vector, gamma)
+        best = one_best = one.improvement.max(axis=0)
+        if len(stopped) == 1:
+            scores, index = one, stopped[0]
+            others = np.delete(one_best, index)
+        else:
+            first, second = (np.array([motor]) for motor in stopped)
+            scores, index = hypotheses.pairs(matrix, vector, gamma, first, second), 0
+            others = one_best
+            best = scores.improvement.max(axis=0)
+        rival = float(others.max()) if others.size else 0.0
+        if best[index] < o.direct_min or rival - best[index] > o.direct_behind:
+            return None
+        found = self._describe(stopped, scores, index, matrix, vector, energy, sums, others, np.zeros(0))
+        return found if max(found.loss) <= -0.5 * o.loss_sudden else None
+
+    @staticmethod
+    def _describe(
+        motors: tuple[int, ...],
+        scores: hypotheses.Scores,
+        index: int,
+        matrix: np.ndarray,
+        vector: np.ndarray,
+        energy: np.ndarray,
+        sums: OnsetSums,
+        others: np.ndarray,
+        simpler: np.ndarray,
+    ) -> Hypothesis:
+        window = int(scores.improvement[:, index].argmax())
+        loss = scores.loss[window, index]
+        improvement = float(scores.improvement[window, index])
+        rivals = [float(array.max()) for array in (others, simpler) if array.size]
+        chosen = list(motors)
+        s = matrix[window][np.ix_(chosen, chosen)]
+        fit = float(vector[window][chosen] @ loss - 0.5 * loss @ s @ loss)
+        return Hypothesis(
+            motors=tuple(int(i) for i in motors),
+            loss=tuple(float(e) for e in loss),
+            improvement=improvement,
+            margin=improvement - max(rivals, default=0.0),
+            explained=2.0 * fit / max(float(energy[window]), 1e-12),
+            age_s=float(sums.age_s[window]),
+        )
+
+    def step(
+        self,
+        state: DecisionState,
+        time_s: float,
+        best: Hypothesis | None,
+        effectiveness: np.ndarray,
+        deviation: np.ndarray,
+        driven: np.ndarray,
+        direct: Hypothesis | None = None,
+    ) -> tuple[DecisionState, list[Event]]:
+        """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
+        coefficient); ``driven`` (m,) thrust fractions that the motors are asked for; ``direct``: named by rotor
+        speeds, and the residual agrees."""
+        o = self.options
+        if (
+            best is None
+            and direct is None
+            and not state.failed.any()
+            and float(effectiveness.min()) > 1.0 - o.loss_gradual
+        ):
+            return (state if state.quiet else DecisionState.start(len(effectiveness))), []
+        events: list[Event] = []
+        failed = state.failed
+        candidate: tuple[int, ...] = ()
+        since = time_s
+        if direct is not None and failed.sum() + len(direct.motors) <= self._failed_max:
+            failed = failed.copy()
+            failed[list(direct.motors)] = True
+            for motor, loss in zip(direct.motors, direct.loss, strict=True):
+                events.append(Event(time_s, motor + 1, True, 1.0 + loss, 1.0))
+        elif best is not None and self._convincing(best):
+            candidate = best.motors
+            since = state.since_s if candidate == state.candidate else time_s
+            wait = o.confirm_s if len(candidate) == 1 else o.confirm_ambiguous_s
+            if time_s - since >= wait - 1e-9 and failed.sum() + len(candidate) <= self._failed_max:
+                failed = failed.copy()
+                failed[list(candidate)] = True
+                for motor, loss in zip(best.motors, best.loss, strict=True):
+                    events.append(Event(time_s, motor + 1, True, 1.0 + loss, best.confidence))
+                candidate = ()
+        # Gradual losses, by the sparse estimate alone: of one motor, while the others are whole. Several partial
+        # losses at once have look-alikes, and are what air that the model does not know looks like.
+        lost = (1.0 - effectiveness > o.loss_others) & ~failed
+        low = (
+            (int(lost.sum()) == 1)
+            & (1.0 - effectiveness > o.loss_gradual)
+            & (deviation < 0.25)
+            & ~failed
+            & (driven > o.lift_driven)
+        )
+        gradual = np.where(low, np.where(np.isnan(state.gradual_since_s), time_s, state.gradual_since_s), np.nan)
+        ready = low & (time_s - np.nan_to_num(gradual, nan=np.inf) >= o.confirm_gradual_s)
+        if ready.sum() == 1 and failed.sum() < self._failed_max:
+            motor = int(np.flatnonzero(ready)[0])
+            failed = failed.copy()
+            failed[motor] = True
+            confidence = float(1.0 - np.clip(deviation[motor] / (1.0 - effectiveness[motor]), 0.0, 1.0) ** 2)
+            events.append(Event(time_s, motor + 1, True, float(effectiveness[motor]), confidence))
+        # Evidence that a declared motor works while it is driven.
+        well = state.failed & (effectiveness > o.lift_effectiveness) & (deviation < 0.15) & (driven > o.lift_driven)
+        healthy = np.where(well, np.where(np.isnan(state.healthy_since_s), time_s, state.healthy_since_s), np.nan)
+        lifted = well & (time_s - np.nan_to_num(healthy, nan=np.inf) >= o.lift_s)
+        if lifted.any():
+            failed = failed & ~lifted
+            events += [Event(time_s, int(i) + 1, False, float(effectiveness[i]), 1.0) for i in np.flatnonzero(lifted)]
+        return DecisionState(failed, candidate, since, gradual, healthy, quiet=False), events
+
+    def _convincing(self, best: Hypothesis) -> bool:
+        o = self.options
+        settled = best.age_s > o.settled_s or len(best.motors) > 1
+        return (
+            best.improvement >= o.improvement_min
+            and best.margin >= o.margin_min
+            and best.explained >= o.explained_min
+            and max(best.loss) <= -o.loss_sudden
+            and (-sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
+        )

@@ -1,0 +1,167 @@
+"""What the model does not expect and no motor explains: phi(x, u) a, and how noisy the residual usually is.
+
+Without a network the basis is the constant 1: a follows y at 1/tau, one value an axis (wind, drag, centre of mass,
+errors of mass and thrust). With one, phi a knows what forward flight does, and a what this vehicle and this wind do
+differently. The spread around phi a gives W.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from nff_companion.core.adaptation import Adaptation, AdaptationOptions, AdaptationState
+from nff_companion.core.filters import lag_share
+from nff_companion.core.vehicle import Vehicle
+
+_SPREAD_S = 4.0
+_SPREAD_LIMIT = 3.0  # one sample counts at most this many deviations: a fault must not become usual
+# Least deviation, as a share of what the loss of one motor at hover gives on that axis: errors of the model that
+# scale with the thrusts (mass, inertia, lag) and never show while flying steadily. Thrust, roll, pitch, yaw.
+_FLOOR_SHARE = np.array([0.30, 0.07, 0.07, 0.20])
+_FLOOR = np.array([0.20, 0.35, 0.35, 0.10])  # sensors: m/s^2, rad/s^2
+# The slow residual may not grow into the place of a lost motor: a vehicle already failed when we start shows.
+_MEAN_SHARE_MAX = np.array([2.5, 0.40, 0.40, 1.5])
+_CEILING_SHARE = np.array([1.0, 0.35, 0.35, 1.0])
+CORRELATION_S = 0.025  # of the residual after its filters: samples closer than this are not independent
+
+
+_STALE_S = 2.0  # without attitude or velocity, phi goes from its last value to the constant alone
+_SHARE_PRIOR, _SHARE_PRIOR_DEVIATION = 0.5, 0.35
+_SHARE_DRIFT_PER_S = 2e-5  # variance
+
+
+@dataclass(slots=True)
+class SideDragState:
+    """Share of the lateral drag that acts at the rotors, and its variance: a basis of one function of (x, u)."""
+
+    share: float = _SHARE_PRIOR
+    variance: float = _SHARE_PRIOR_DEVIATION**2
+
+
+def learn_side_drag(state: SideDragState, slope: float, residual: float, variance: float, dt_s: float) -> SideDragState:
+    """One Kalman step (Joseph form in one dimension) on the yaw residual.
+
+    ``slope``: yaw acceleration for share 1 at the present thrusts; ``residual``: yaw residual left with the present
+    share; ``variance`` of it in steady flight.
+    """
+    prior = state.variance + _SHARE_DRIFT_PER_S * dt_s
+    noise = variance * CORRELATION_S / dt_s
+    gain = prior * slope / (slope * slope * prior + noise)
+    keep = 1.0 - gain * slope
+    share = min(max(state.share + gain * residual, 0.0), 1.2)
+    return SideDragState(share, min(keep * prior * keep + gain * noise * gain, _SHARE_PRIOR_DEVIATION**2))
+
+
+class Basis(Protocol):
+    """A basis network, as far as it matters here (basis_network.py)."""
+
+    @property
+    def axis_scale(self) -> np.ndarray:
+        """(n,) SI."""
+
+    @property
+    def prior(self) -> np.ndarray:
+        """a0 (k + 1, n)."""
+
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """phi (k + 1,)."""
+
+    def project(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> np.ndarray:
+        """a within (6.8)."""
+
+
+@dataclass(slots=True)
+class DisturbanceState:
+    """The adaptation, the last phi (k + 1,), and the variance of y - phi a (n,)."""
+
+    adaptation: AdaptationState
+    basis: np.ndarray
+    variance: np.ndarray
+
+
+class Disturbance:
+    """Constants of one airframe; ``network`` None: a constant basis; ``bounded`` False: phi a may explain everything,
+    where no motor is looked for."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        network: Basis | None = None,
+        options: AdaptationOptions | None = None,
+        *,
+        bounded: bool = True,
+    ) -> None:
+        loss = vehicle.acceleration_effectiveness * vehicle.hover
+        self.loss_scale = np.sqrt((loss**2).mean(axis=1))
+        self.floor = np.maximum(_FLOOR_SHARE * self.loss_scale, _FLOOR)
+        self.ceiling = np.maximum(_CEILING_SHARE * self.loss_scale, self.floor)
+        self._floor_squared, self._ceiling_squared = self.floor**2, self.ceiling**2
+        self._adapted_max = (_MEAN_SHARE_MAX if bounded else np.inf) * self.loss_scale
+        self._vehicle, self.network = vehicle, network
+        constant = np.zeros((1, vehicle.axes))
+        self._scale = np.ones(vehicle.axes) if network is None else network.axis_scale
+        self._adaptation = Adaptation(constant if network is None else network.prior, options or AdaptationOptions())
+        # Until the network is given what it looks at, the constant stands alone.
+        self._blind = np.eye(len(self._adaptation.prior))[-1]
+
+    def start(self) -> DisturbanceState:
+        """Nothing learnt in this flight."""
+        return DisturbanceState(self._adaptation.start(), self._blind, self.floor**2)
+
+    def variance(self, state: DisturbanceState) -> np.ndarray:
+        """Variance (n,) of the residual in steady flight, between floor and ceiling."""
+        return np.minimum(np.maximum(state.variance, self._floor_squared), self._ceiling_squared)
+
+    def weight(self, state: DisturbanceState) -> np.ndarray:
+        """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
+        return 1.0 / (self.variance(state) * CORRELATION_S)
+
+    def basis(self, state: DisturbanceState, features: np.ndarray | None, dt_s: float) -> np.ndarray:
+        """phi (k + 1,); without ``features`` the last one fades: what it said of the speed grows old, and a jump to the
+        constant would look like a failure."""
+        if self.network is None:
+            return state.basis
+        if features is None:
+            return state.basis + lag_share(dt_s, _STALE_S) * (self._blind - state.basis)
+        return self.network(features)
+
+    def predict(self, state: DisturbanceState, basis: np.ndarray) -> np.ndarray:
+        """phi a (n,) in SI; what was learnt in this flight, beyond a0, may not grow into the place of a motor."""
+        expected = self._scale * (basis @ self._adaptation.prior)
+        adapted = self._scale * (basis @ state.adaptation.a) - expected
+        return expected + np.minimum(np.maximum(adapted, -self._adapted_max), self._adapted_max)
+
+    def step(
+        self,
+        state: DisturbanceState,
+        basis: np.ndarray,
+        residual: np.ndarray,
+        dt_s: float,
+        rate: float = 1.0,
+        allocation_norm: float = 0.0,
+    ) -> DisturbanceState:
+        """One sample of the raw residual y (n,); ``rate`` scales the speed of learning, 0: frozen;
+        ``allocation_norm`` is that of the matrix in force, for (6.8)."""
+        if rate <= 0.0:
+            return replace(state, adaptation=self._projected(state.adaptation, allocation_norm), basis=basis)
+        predicted = self.predict(state, basis)
+        around = residual - predicted
+        # At the limit of what may be learnt y is taken for what is believed already, so that a does not wind up.
+        unbounded = self._scale * (basis @ state.adaptation.a)
+        held = (residual - unbounded) * (unbounded - predicted) > 0.0
+        seen = np.where(held, unbounded, residual)
+        adaptation = self._adaptation.step(state.adaptation, basis, seen / self._scale, min(rate * dt_s, 0.5))
+        adaptation = self._projected(adaptation, allocation_norm)
+        spread = np.minimum(around**2, _SPREAD_LIMIT**2 * np.maximum(state.variance, self._floor_squared))
+        variance = state.variance + min(rate * dt_s / _SPREAD_S, 0.5) * (spread - state.variance)
+        return DisturbanceState(adaptation, basis, variance)
+
+    def _projected(self, state: AdaptationState, allocation_norm: float) -> AdaptationState:
+        """Within (6.8), whose bound moves with the allocation in force."""
+        if self.network is None or not allocation_norm:
+            return state
+        a = self.network.project(state.a, self._vehicle, allocation_norm)
+        return state if a is state.a else AdaptationState(a, state.covariance)

@@ -1,0 +1,1 @@
+"""The daemon: its loop, clocks, signals, configuration, and its door for the monitor."""

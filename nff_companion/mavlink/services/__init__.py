@@ -1,0 +1,1 @@
+"""The small services of the protocol, one file each."""

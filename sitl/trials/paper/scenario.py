@@ -1,0 +1,222 @@
+"""The flights: the paper's airframe on a rectangle at 7.5 m/s, an inner or an outer motor lost on the way.
+
+Every controller flies the same vehicles (10 % errors of mass, inertia, thrust), wind, noise, failure and moment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from nff_companion.allocation.planner import PlannerOptions
+from nff_companion.core import vehicle as vehicle_model
+from nff_companion.core.decision import DecisionOptions, Event
+from nff_companion.core.estimator import EstimatorOptions
+from nff_companion.laws import LAWS
+from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from sitl import airframe as plant_airframe
+from sitl import rotation
+from sitl.faults import Fault
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials.virtual import VirtualFlight
+
+AIRFRAME = "paper-octo"
+CONTROLLERS = tuple(LAWS)
+GROUPS = {"outer": (1, 3, 6, 8), "inner": (2, 4, 5, 7)}  # motors by their lateral arm
+SPEED_M_S = 7.5
+_SIDES_S = (10.0, 8.0)  # flight time of the rectangle's sides, with their corners
+_CORNER_S = 4.5  # of each: the velocity turns as a raised cosine
+_START_S = 4.0
+_FAULT_S = (10.0, 28.0)  # anywhere on two sides and two corners
+WINDOW_S = 5.0  # of the attitude error, as in figure 6
+AFTER_S = 10.0  # of the position error
+BEFORE_S = 1.0
+HEIGHT_M = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperOptions:
+    """What to fly."""
+
+    seeds: int = 20
+    rate_hz: float = 200.0
+    link_delay_s: float = 0.010
+    model_error: float = 0.10
+    wind_m_s: float = 2.0
+    turbulence_share: float = 0.25
+    network: str = "airframe"
+    variant: str = "full"
+    controllers: tuple[str, ...] = CONTROLLERS
+
+
+_UNDECLARED = DecisionOptions(improvement_min=1e9, loss_gradual=2.0)
+
+
+def variants() -> dict[str, PipelineOptions]:
+    """Ablations, of every law that has the part at all."""
+    published = PlannerOptions(follow_estimate=True)
+    return {
+        "full": PipelineOptions(),
+        "no-phi": PipelineOptions(estimator=EstimatorOptions(network="none")),
+        "lateral-for-all": PipelineOptions(feed_lateral="always"),
+        "lateral-for-none": PipelineOptions(feed_lateral="never"),
+        "published": PipelineOptions(planner=published, estimator=EstimatorOptions(decision=_UNDECLARED)),
+        "published-no-sparsity": PipelineOptions(
+            planner=published, estimator=EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
+        ),
+        "published-no-shaping": PipelineOptions(
+            planner=PlannerOptions(follow_estimate=True, shape=False),
+            estimator=EstimatorOptions(decision=_UNDECLARED),
+        ),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One flight."""
+
+    controller: str
+    group: str
+    seed: int
+
+    @property
+    def motor(self) -> int:
+        """That is lost; from 1."""
+        return GROUPS[self.group][(self.seed - 1) % 4]
+
+    @property
+    def fault_s(self) -> float:
+        """When; the same for every controller."""
+        return float(np.random.default_rng([self.seed, 11]).uniform(*_FAULT_S))
+
+
+@dataclass(slots=True)
+class Trace:
+    """What one vehicle did. Times from the failure; rows at the companion's rate while it was up."""
+
+    case: Case
+    time_s: np.ndarray  # (L,)
+    attitude_error_deg: np.ndarray  # (L, 3) roll, pitch, yaw, signed
+    position_error_m: np.ndarray  # (L,)
+    effectiveness: np.ndarray  # (L, m)
+    named: list[int]
+    delay_s: float | None
+    crashed: bool
+
+
+def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
+    """All cases side by side."""
+    count = len(cases)
+    seeds = [case.seed for case in cases]
+    fleet = Fleet(
+        plant_airframe.load(vehicle_model.path_of(AIRFRAME), vehicles=count),
+        FleetOptions(
+            seeds=seeds,
+            model_error=options.model_error,
+            wind_m_s=options.wind_m_s,
+            turbulence_m_s=options.turbulence_share * options.wind_m_s,
+            height_m=HEIGHT_M,
+        ),
+        [Fault(vehicle=k, motor=case.motor, start_s=case.fault_s) for k, case in enumerate(cases)],
+    )
+    flight = VirtualFlight(
+        fleet,
+        {k: _pipeline_options(options, case.controller) for k, case in enumerate(cases)},
+        airframe=AIRFRAME,
+        thrust_to_weight=None,
+        rate_hz=options.rate_hz,
+        link_delay_s=options.link_delay_s,
+    )
+    recorders = [_Recorder(case) for case in cases]
+    fault_s = np.array([case.fault_s for case in cases])
+    every = round(AUTOPILOT_RATE_HZ / options.rate_hz)
+    told = np.zeros(count, bool)
+    until = float(fault_s.max()) + AFTER_S
+    while fleet.time_s < until:
+        _lead(fleet)
+        flight.step()
+        for k, case in enumerate(cases):
+            pipeline = flight.companions[k].pipeline
+            if case.controller == "omniscient" and not told[k] and fleet.time_s >= fault_s[k]:
+                told[k] = True
+                pipeline.adopt(np.arange(1, pipeline.vehicle.motors + 1) == case.motor)
+            if fleet.cycle % every == 0 and not fleet.state.crashed[k]:
+                recorders[k].add(fleet, k, pipeline)
+    return [recorder.trace(flight.companions[k].events, every) for k, recorder in enumerate(recorders)]
+
+
+def _pipeline_options(options: PaperOptions, controller: str) -> PipelineOptions:
+    chosen = variants()[options.variant]
+    estimator = chosen.estimator
+    if options.network != "airframe":
+        estimator = msgspec.structs.replace(estimator, network=options.network)
+    return msgspec.structs.replace(chosen, mode=Mode.OVERRIDE, law=controller, estimator=estimator)
+
+
+def _lead(fleet: Fleet) -> None:
+    """The rectangle: north, east, south, west, the nose kept north."""
+    sides = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+    lengths = np.array([*_SIDES_S, *_SIDES_S])
+    at = fleet.time_s - _START_S
+    if at < 0.0:
+        velocity = np.zeros(2)
+    else:
+        into = at % float(lengths.sum())
+        side = int(np.searchsorted(np.cumsum(lengths), into, side="right"))
+        since = into - float(lengths[:side].sum())
+        share = 0.5 - 0.5 * np.cos(np.pi * min(since / _CORNER_S, 1.0))
+        before = sides[side - 1] if at >= lengths[0] else np.zeros(2)
+        velocity = SPEED_M_S * ((1.0 - share) * before + share * sides[side])
+    fleet.autopilot.position.goal_velocity[:, :2] = velocity
+    fleet.autopilot.position.goal_velocity[:, 2] = 0.0
+
+
+class _Recorder:
+    """Rows of one flight from a second before the failure."""
+
+    def __init__(self, case: Case) -> None:
+        self._case, self._fault_s = case, case.fault_s
+        self._rows: list[tuple[float, np.ndarray, float, np.ndarray]] = []
+
+    def add(self, fleet: Fleet, index: int, pipeline: Pipeline) -> None:
+        """After each step of the companion."""
+        time_s = fleet.time_s - self._fault_s
+        if not -BEFORE_S <= time_s <= AFTER_S:
+            return
+        desired = pipeline.attitude_desired
+        error = np.full(3, np.nan)
+        if desired is not None:
+            # Truth against what the controller asked for.
+            body = rotation.to_matrix(fleet.state.quaternion[index])
+            error = _rotation_vector(body.T @ desired)
+        away = float(np.linalg.norm(fleet.state.position_m[index] - fleet.autopilot.position.path[index]))
+        eta = np.ones(pipeline.vehicle.motors)
+        self._rows.append(
+            (time_s, np.degrees(error), away, eta if pipeline.last is None else pipeline.last.effectiveness)
+        )
+
+    def trace(self, all_events: list[tuple[float, Event]], every: int) -> Trace:
+        """The flight up to AFTER_S; a row comes each ``every`` cycles of the autopilot while the vehicle is up."""
+        events = [(t, e) for t, e in all_events if e.declared and t <= self._fault_s + AFTER_S]
+        times = [t for t, e in events if e.motor == self._case.motor]
+        time_s = np.array([row[0] for row in self._rows])
+        return Trace(
+            case=self._case,
+            time_s=time_s,
+            attitude_error_deg=np.array([row[1] for row in self._rows]).reshape(-1, 3),
+            position_error_m=np.array([row[2] for row in self._rows]),
+            effectiveness=np.array([row[3] for row in self._rows]),
+            named=sorted({e.motor for _, e in events}),
+            delay_s=times[0] - self._fault_s if times else None,
+            crashed=len(time_s) == 0 or float(time_s[-1]) < AFTER_S - 2 * every / AUTOPILOT_RATE_HZ,
+        )
+
+
+def _rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """Of a rotation matrix (3, 3), rad."""
+    part = 0.5 * np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    sine = float(np.linalg.norm(part))
+    angle = np.arctan2(sine, 0.5 * (np.trace(matrix) - 1.0))
+    return part * (angle / sine if sine > 1e-9 else 1.0)
