@@ -96,7 +96,8 @@ class Statement:
     @property
     def text(self) -> str:
         """In words."""
-        return self.reason.value[1].format(self.detail)
+        text: str = self.reason.value[1]
+        return text.format(self.detail)
 
 
 def first(*statements: Statement | None) -> Statement | None:

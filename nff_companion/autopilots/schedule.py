@@ -1,4 +1,4 @@
-"""What to tell an autopilot, and when: declare until confirmed, load, drive, release. Pure, the same for every adapter."""
+"""What to tell an autopilot, and when: declare until confirmed, load, drive, release. The same for every adapter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import times
-from nff_companion.companion import Output
+from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, read_only
 
 # Of a motor's effectiveness, where no matrix is taken: each telling may wear the autopilot's parameter storage.
@@ -78,7 +78,7 @@ class ScheduleState:
 def steps(
     state: ScheduleState, output: Output, condition: Condition, time_s: float
 ) -> tuple[ScheduleState, list[Command]]:
-    """What is due after ``output``; ``time_s`` of the autopilot's clock: of the sample, or where none comes, by ours."""
+    """What is due after ``output``; ``time_s`` by the autopilot's clock: of the sample, or a guess where none comes."""
     commands: list[Command] = []
     acting = output.mode != Mode.OBSERVE
     state = replace(state, word=state.word and not condition.in_force.holds(state.told))
