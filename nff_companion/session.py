@@ -36,6 +36,7 @@ from nff_companion.verdict import Confirmation, numbers, verdict
 _HEARTBEAT_S = 1.0
 _HOST_S = 2.0
 _LOOK_S = 1.0
+_ASK_WHO_S = 0.2
 _PORT_SILENT_S = 0.5  # the vehicle's port is kept while it is heard there
 _NOTHING = Condition()
 
@@ -76,11 +77,12 @@ class Session:
         self.state = companion.start(options.mode)
         self._orders = NO_ORDERS
         self._schedule = ScheduleState.start(companion.vehicle.motors)
-        self._confirmation, self._unconfirmed_s = Confirmation(), 0.0
+        self._confirmation = Confirmation()
+        self._unconfirmed_s: float | None = None
         self._adoption = Adoption(meeting, options.system)
         self._met: Adapter | None = None  # the adapter that the state below belongs to
         self._port: int | None = None
-        self._port_heard_s = self._sample_s = -np.inf  # of our clock
+        self._asked_who_s = self._port_heard_s = self._sample_s = -np.inf  # of our clock
         self._lost, self._adopted = True, False
         self._rate = Agreement(options.rate_hz)
         self._condition = _NOTHING
@@ -187,6 +189,8 @@ class Session:
         elif kind.startswith("PARAM_"):
             self._send_all(self._parameters.answer(message), port)
         adapter = self.adapter
+        if adapter is None:
+            self._ask_who(message, port, now_s)
         if not ours or adapter is None or not self._this_port(port, now_s):
             return self._flushed()
         self._streams.heard(message.get_msgId(), now_s)
@@ -301,6 +305,17 @@ class Session:
         built = self._companion.rate_hz
         measured = self._rate.off_hz(built)
         return None if measured is None else Statement(Reason.RATE, f"{measured:.0f} instead of {built:.0f}")
+
+    def _ask_who(self, message: Message, port: int, now_s: float) -> None:
+        """A vehicle that is heard, but not yet known: after a restart in flight nobody waits for its next heartbeat."""
+        target = (message.get_srcSystem(), dialect.MAV_COMP_ID_AUTOPILOT1)
+        known = self._adoption.knows(target[0]) or message.get_srcComponent() != target[1]
+        if known or now_s - self._asked_who_s < _ASK_WHO_S:
+            return
+        self._asked_who_s = now_s
+        heartbeat = float(dialect.MAVLINK_MSG_ID_HEARTBEAT)
+        values = (0, heartbeat, *[0.0] * 6)
+        self._send(dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, *values), port)
 
     def _this_port(self, port: int, now_s: float) -> bool:
         """The vehicle may be heard twice, directly and through a router: one port is kept while it is heard there."""

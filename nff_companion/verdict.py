@@ -39,18 +39,18 @@ class Confirmation:
     def __init__(self) -> None:
         self._since_s: float | None = None
 
-    def step(self, output: Output, condition: Condition, now_s: float) -> float:
-        """How long something has been wanted without being in force, in s; 0: all is."""
+    def step(self, output: Output, condition: Condition, now_s: float) -> float | None:
+        """How long something has been wanted without being in force, in s; None: all is."""
         wanted = output.mode != Mode.OBSERVE and output.flying
         if not wanted or confirmed(output, condition):
             self._since_s = None
-            return 0.0
+            return None
         if self._since_s is None:
             self._since_s = now_s
         return now_s - self._since_s
 
 
-def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unconfirmed_s: float) -> Statement:
+def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unconfirmed_s: float | None) -> Statement:
     """The one thing to be said. ``asked``: the operator's mode; ``unconfirmed_s`` by ``Confirmation``."""
     untold = condition.untold if output.mode != Mode.OBSERVE and _anything(output) else None
     trouble = first(output.obstacle, untold)
@@ -60,12 +60,12 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
         return Statement(Reason.OBSERVING)
     if not parts.identify:
         return Statement(Reason.NOT_WATCHING, parts.name)
-    if unconfirmed_s > CONFIRM_MAX_S:
+    if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
     if not _anything(output):
         return Statement(Reason.HEALTHY)
     motors = _listed(output.failed if output.failed.any() else output.degraded)
-    if unconfirmed_s > 0.0:
+    if unconfirmed_s is not None:
         return Statement(Reason.TELLING, motors)
     if condition.takes_matrix and output.plan is None:
         return Statement(Reason.STOPPED, motors)

@@ -88,6 +88,10 @@ class Adoption:
         if not acting:
             self._settle(now_s)
 
+    def knows(self, system: int) -> bool:
+        """Whether a heartbeat of this system's autopilot has been heard."""
+        return system in self._vehicles
+
     def obstacle(self, *, acting: bool) -> Statement | None:
         """Why the vehicle adopted may be the wrong one."""
         if self._wanted or acting or len(self._vehicles) < 2:

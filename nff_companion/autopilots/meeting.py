@@ -9,6 +9,7 @@ from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.nff import NffAdapter
+
 Method = str
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import dialect
@@ -52,8 +53,10 @@ class Meeting:
         """A new one, that knows nothing of its autopilot yet."""
         if kind == "ardupilot":
             from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
+
             return ArduPilotAdapter(self._vehicle, target, self._plans, self.instance)
         if kind == "px4":
             from nff_companion.autopilots.px4.adapter import Px4Adapter
+
             return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)
         return NffAdapter(self._vehicle, target)

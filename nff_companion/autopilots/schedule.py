@@ -13,6 +13,7 @@ from nff_companion.condition import Condition, Mode, read_only
 
 # Of a motor's effectiveness, where no matrix is taken: each telling may wear the autopilot's parameter storage.
 _CHANGE_MIN, _CHANGE_INTERVAL_S = 0.15, 1.0
+_JITTER_S = 1e-6  # of the autopilot's clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ def steps(
     """What is due after ``output``; ``time_s`` by the autopilot's clock: of the sample, or a guess where none comes."""
     commands: list[Command] = []
     acting = output.mode != Mode.OBSERVE
-    state = replace(state, word=state.word and not condition.in_force.holds(state.told))
+    state = replace(state, word=state.word and not condition.in_force.holds(output.failed))
     if state.word or (acting and output.flying):
         state, told = _declare(state, output, condition, time_s)
         commands += told
@@ -89,7 +90,7 @@ def steps(
         return state, commands
     plan = output.plan if condition.takes_matrix else None
     if plan is not None:
-        if plan is not state.plan or not 0.0 <= time_s - state.plan_s < times.MATRIX_INTERVAL_S:
+        if plan is not state.plan or not 0.0 <= time_s - state.plan_s < times.MATRIX_INTERVAL_S - _JITTER_S:
             state = replace(state, plan=plan, plan_s=time_s)
             commands.append(Load(time_s, plan, output.failed))
     elif state.plan is not None:
@@ -105,10 +106,12 @@ def _declare(
     believed = output.believed
     changed = bool((output.failed != state.told).any())
     waited = time_s - state.told_s
-    unconfirmed = not condition.in_force.holds(output.failed) and not 0.0 <= waited < times.DECLARATION_INTERVAL_S
+    unconfirmed = (
+        not condition.in_force.holds(output.failed) and not 0.0 <= waited < times.DECLARATION_INTERVAL_S - _JITTER_S
+    )
     weakened = (
         not condition.takes_matrix
-        and not 0.0 <= waited < _CHANGE_INTERVAL_S
+        and not 0.0 <= waited < _CHANGE_INTERVAL_S - _JITTER_S
         and float(np.abs(believed - state.effectiveness).max()) >= _CHANGE_MIN
     )
     if not (changed or unconfirmed or weakened):

@@ -18,6 +18,7 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     thrust_share: float = 0.7
     sure_after_s: float = 0.5  # with height and thrust
     assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
+    told_after_s: float = 0.2  # after a restart in flight, with the autopilot's word that it flies
     ended_share: float = 0.3
     ended_after_s: float = 0.5
     impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
@@ -85,7 +86,7 @@ class FlightPhase:
         if height is not None and ground is not None and height - ground > o.height_m:
             return pushing_s >= o.sure_after_s
         if ground is None and sample.landed is False:
-            return pushing_s >= o.sure_after_s  # a restart in flight, and the autopilot says that it flies
+            return pushing_s >= o.told_after_s
         return pushing_s >= o.assumed_after_s and (not hit or sample.landed is False)
 
     def _low(self, sample: Sample, height: float | None, ground: float | None) -> bool:

@@ -159,6 +159,7 @@ class VirtualFlight:
         workshop: Workshop | None = None,
         rotor_speeds: bool = False,
         alter: Alter | None = None,
+        stubborn_hz: float | None = None,
     ) -> None:
         """``workshop``: the vehicles are ArduPilots with our applet; without it, they speak our dialect. ``alter`` is
         the hand of a test on the samples."""
@@ -180,7 +181,7 @@ class VirtualFlight:
             companion = Companion(model, rate, options.tuning, network=network, parts=options.parts)
             session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
             card = None if workshop is None else workshop.card
-            autopilot = WireAutopilot(fleet, index, card=card, rotor_speeds=rotor_speeds)
+            autopilot = WireAutopilot(fleet, index, card=card, rotor_speeds=rotor_speeds, stubborn_hz=stubborn_hz)
             self.companions.append(TrialCompanion(index, session, autopilot, link_delay_s))
 
     def step(self) -> None:

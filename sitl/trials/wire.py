@@ -25,7 +25,17 @@ _SPEEDS = (
 class WireAutopilot:
     """``card``: folder with scripts; then the vehicle is an ArduPilot, without it one that speaks our dialect."""
 
-    def __init__(self, fleet: Fleet, vehicle: int, *, card: Path | None = None, rotor_speeds: bool = False) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        vehicle: int,
+        *,
+        card: Path | None = None,
+        rotor_speeds: bool = False,
+        stubborn_hz: float | None = None,
+    ) -> None:
+        """``stubborn_hz``: the rate at which every stream comes, whatever was asked for."""
+        self._stubborn_hz = stubborn_hz
         self._fleet, self._codec = fleet, Codec(SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1)
         telemetry = Telemetry(fleet, vehicle)
         self._makers = dict(telemetry.makers)
@@ -53,10 +63,17 @@ class WireAutopilot:
                 answer = self._commander.parameter(message.param_id)
                 if answer is not None:
                     self._say(answer)
-            elif kind == "COMMAND_LONG" and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
-                message_id = int(message.param1)
-                if message_id in self._makers and message.param2 > 0.0:
-                    self._every[message_id] = _cycles(1e6 / message.param2)
+            elif kind == "COMMAND_LONG":
+                self._command(message)
+
+    def _command(self, message: Message) -> None:
+        message_id = int(message.param1)
+        if message_id not in self._makers:
+            return
+        if message.command == dialect.MAV_CMD_REQUEST_MESSAGE:
+            self._say(self._makers[message_id]())
+        elif message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL and message.param2 > 0.0:
+            self._every[message_id] = _cycles(self._stubborn_hz or 1e6 / message.param2)
 
     def scripts(self) -> None:
         """The scripts' turn, before the autopilot's loops."""

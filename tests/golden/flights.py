@@ -96,11 +96,11 @@ def record(flight: Flight) -> list[Sample]:
         ),
         [Fault(vehicle=0, motor=motor, start_s=at) for motor, at in flight.faults],
     )
-    from sitl.trials.virtual import VirtualFlight
+    from sitl.trials.virtual import TrialOptions, VirtualFlight
 
     trial = VirtualFlight(
         fleet,
-        {0: PipelineOptions(mode=Mode[flight.mode.upper()])},
+        {0: TrialOptions(mode=Mode[flight.mode.upper()])},
         airframe=flight.airframe,
         thrust_to_weight=None,
         rate_hz=flight.flown_hz,
