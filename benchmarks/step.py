@@ -118,9 +118,9 @@ def main() -> None:
     for case in options.case or CASES:
         times: list[list[int]] = [[] for _ in checkouts]
         for _ in range(options.blocks):
-            for checkout, gathered in zip(checkouts, times, strict=True):
-                gathered += checkout.times_ns(case)
-        found = [np.percentile(1e-3 * np.array(gathered), [50.0, 99.0]) for gathered in times]
+            for checkout, taken in zip(checkouts, times, strict=True):
+                taken.extend(checkout.times_ns(case))
+        found = [np.percentile(1e-3 * np.array(taken), [50.0, 99.0]) for taken in times]
         line = f"{case:18} median {found[0][0]:6.1f} us, p99 {found[0][1]:7.1f} us"
         if options.against:
             line += f"; other {found[1][0]:6.1f} and {found[1][1]:7.1f} us; ratio {found[0][0] / found[1][0]:.3f}"

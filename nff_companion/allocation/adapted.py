@@ -26,7 +26,7 @@ class AdaptedMatrix:
 
     def step(self, estimate: Estimate, dt_s: float) -> None:
         """One sample."""
-        self._state = self._adaptation.step(self._state, estimate.weight, estimate.raw * self._unit, dt_s)
+        self._state = self._adaptation.step(self._state, estimate.thrust_shown, estimate.raw * self._unit, dt_s)
 
     def allocation(self, fallback: np.ndarray) -> np.ndarray:
         """Bhat^R (m, n) by pseudo-inverse; the last good one, or ``fallback``, where Bhat has lost an axis."""
