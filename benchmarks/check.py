@@ -13,34 +13,36 @@ from pathlib import Path
 
 import numpy as np
 
-from nff_companion.core import vehicle
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.companion import Companion
+from nff_companion.condition import Condition, Mode
+from nff_companion.core import basis_network, vehicle
+from nff_companion.core.sample import Sample
 from sitl.trials import adaptation_bench, allocation_bench, loop_bench
 from sitl.trials.demo import DemoOptions, make_fleet
-from sitl.trials.virtual import VirtualFlight
+from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 
 def step_over_solve() -> float:
-    """Median time of a pipeline step over that of ``numpy.linalg.solve`` on 8 x 8, interleaved."""
+    """Median time of a companion step over that of ``numpy.linalg.solve`` on 8 x 8, interleaved."""
+    samples: list[Sample] = []
+
+    def record(sample: Sample) -> Sample:
+        samples.append(sample)
+        return sample
+
     flight = VirtualFlight(
-        make_fleet(DemoOptions(failures=[])),
-        {0: PipelineOptions(mode=Mode.OBSERVE)},
-        airframe="octo-x",
-        thrust_to_weight=None,
-        rate_hz=200.0,
-        link_delay_s=0.0,
+        make_fleet(DemoOptions(failures=[])), {0: TrialOptions(mode=Mode.OBSERVE)}, airframe="octo-x", alter=record
     )
-    samples = []
-    pipeline = flight.companions[0].pipeline
-    pipeline.step = lambda sample, override=None: (samples.append(sample), Pipeline.step(pipeline, sample))[1]  # type: ignore[method-assign]
     for _ in range(400 * 6):
         flight.step()
-    fresh = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions(mode=Mode.OBSERVE))
+    model = vehicle.load("octo-x")
+    companion = Companion(model, 200.0, network=basis_network.for_vehicle(model, "airframe"))
+    state, condition = companion.start(Mode.OBSERVE), Condition()
     matrix, right = np.eye(8) + 0.01, np.ones(8)
     steps, solves = [], []
     for sample in samples:
         began = time.perf_counter()
-        fresh.step(sample)
+        state, _ = companion.step(state, sample, condition)
         middle = time.perf_counter()
         np.linalg.solve(matrix, right)
         steps.append(middle - began)

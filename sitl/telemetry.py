@@ -13,6 +13,7 @@ from sitl.autopilot.autopilot import Autopilot, Mode
 from sitl.fleet import Fleet
 
 HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG, HOME_ALTITUDE_M = -35.363262, 149.165237, 584.0
+BOOT_S = 1.0  # the autopilot's clock when the fleet starts
 _EARTH_RADIUS_M = 6378137.0
 _SERVOS = 16
 _CUSTOM_MODE = {Mode.GROUND: 4, Mode.GUIDED: 4, Mode.LAND: 9}
@@ -82,7 +83,7 @@ class Telemetry:
     @property
     def time_usec(self) -> int:
         """The autopilot's clock: 1 s since its boot when the fleet starts."""
-        return round(1e6 * (self._fleet.time_s + 1.0))
+        return round(1e6 * (self._fleet.time_s + BOOT_S))
 
     @property
     def time_ms(self) -> int:

@@ -1,4 +1,4 @@
-"""Telemetry to samples, and outputs of the pipeline to commands."""
+"""Telemetry to samples, and commands to messages of our dialect."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import pytest
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, make_plan
-from nff_companion.autopilots.nff import NffDialectAdapter
+from nff_companion.autopilots.nff import NffAdapter
+from nff_companion.autopilots.schedule import Declare, Drive, Load, Release
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.condition import Reason
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import dialect
-from nff_companion.pipeline import Mode, Output
 
 
 def imu(usec: int):
@@ -70,48 +71,6 @@ def test_targets_that_are_marked_as_ignored_are_none(octo: Vehicle) -> None:
     assert sample(1 << 10).target_yaw_rad is None
 
 
-def output(octo: Vehicle, time_s: float, failed: list[int], plan: Plan | None, mode: Mode = Mode.ALLOCATE) -> Output:
-    mask = np.zeros(8, bool)
-    mask[[m - 1 for m in failed]] = True
-    ones = np.ones(8)
-    return Output(time_s, mode, "", True, mask, ones, ones, ~ones.astype(bool), [], plan, None, None, np.zeros(4), 0, 0)
-
-
-def test_a_declaration_is_repeated_until_confirmed_and_the_matrix_streams(octo: Vehicle) -> None:
-    adapter = NffDialectAdapter(octo, (1, 1))
-    eta = np.ones(8)
-    eta[2] = 0.0
-    plan = make_plan(allocator("trim"), octo.effectiveness, eta, octo.hover)
-    assert isinstance(plan, Plan)
-    kinds = []
-    for k in range(60):
-        if k == 40:
-            adapter.observe(dialect.MAVLink_nff_applied_message(1, 0, 0, 1, 0b100, 1, *[0] * 6, 2))
-        kinds += [(k, m.get_type(), m.sequence) for m in adapter.act(output(octo, 10 + 0.005 * k, [3], plan))]
-    declared = [k for k, kind, _ in kinds if kind == "NFF_MOTOR_DECLARATION"]
-    assert declared[0] == 0
-    assert all(k < 40 for k in declared)
-    assert len(kinds) == len({s for _, _, s in kinds}), "no sequence is used twice"
-    streamed = [k for k, kind, _ in kinds if kind == "NFF_ALLOCATION_MATRIX"]
-    assert streamed[0] == 0
-    assert max(np.diff(streamed)) <= 11, "fresh well within its time-out"
-
-
-def test_a_plan_that_is_gone_is_released_at_once(octo: Vehicle) -> None:
-    adapter = NffDialectAdapter(octo, (1, 1))
-    plan = make_plan(allocator("pinv"), octo.effectiveness, np.r_[0.5, np.ones(7)], octo.hover)
-    assert isinstance(plan, Plan)
-    adapter.act(output(octo, 10.0, [], plan))
-    (message,) = adapter.act(output(octo, 10.005, [], None))
-    assert (message.get_type(), message.valid) == ("NFF_ALLOCATION_MATRIX", 0)
-    assert adapter.act(output(octo, 10.01, [], None)) == []
-
-
-def test_observe_sends_no_command(octo: Vehicle) -> None:
-    adapter = NffDialectAdapter(octo, (1, 1))
-    assert adapter.act(output(octo, 10.0, [1], None, Mode.OBSERVE)) == []
-
-
 def test_an_attitude_that_stopped_coming_is_not_handed_on(octo: Vehicle) -> None:
     decoder = TelemetryDecoder(octo)
     decoder.observe(dialect.MAVLink_attitude_quaternion_message(1000, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, [0.0] * 4))
@@ -132,8 +91,33 @@ def test_an_armed_autopilot_with_fewer_motors_than_the_airframe_is_not_believed(
 
 
 def test_an_autopilot_that_does_not_answer_is_not_commanded(octo: Vehicle) -> None:
-    adapter = NffDialectAdapter(octo, (1, 1))
-    assert "NFF_APPLIED" in adapter.blocked(10.0, Mode.ALLOCATE)
-    adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, *[0] * 12))
-    assert adapter.blocked(10.5, Mode.ALLOCATE) == ""
-    assert "NFF_APPLIED" in adapter.blocked(11.5, Mode.ALLOCATE)
+    adapter = NffAdapter(octo, (1, 1))
+    silent = adapter.condition(10.0).command
+    assert silent is not None
+    assert silent.reason == Reason.SILENT
+    adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, *[0] * 12), 10.0)
+    assert adapter.condition(10.5).command is None
+    assert adapter.condition(11.5).command == silent
+
+
+def test_no_sequence_is_used_twice_and_every_command_bears_its_time(octo: Vehicle) -> None:
+    adapter = NffAdapter(octo, (1, 1))
+    plan = make_plan(allocator("trim"), octo.effectiveness, np.r_[0.0, np.ones(7)], octo.hover)
+    assert isinstance(plan, Plan)
+    failed = np.eye(8, dtype=bool)[0]
+    commands = [
+        Declare(10.0, failed, np.ones(8)),
+        Load(10.1, plan, failed),
+        Drive(10.2, np.full(8, 0.5)),
+        Release(10.3),
+    ]
+    messages = [message for command in commands for message in adapter.encode(command)]
+    assert [m.get_type() for m in messages] == [
+        "NFF_MOTOR_DECLARATION",
+        "NFF_ALLOCATION_MATRIX",
+        "NFF_ACTUATOR_OVERRIDE",
+        "NFF_ALLOCATION_MATRIX",
+    ]
+    assert [m.sample_usec for m in messages] == [10_000_000, 10_100_000, 10_200_000, 10_300_000]
+    assert len({m.sequence for m in messages}) == 4
+    assert (messages[0].failed_mask, messages[1].valid, messages[3].valid) == (1, 1, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import pty
 import select
@@ -12,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nff_companion.autopilots.base import Stream
+from nff_companion.companion import Companion
+from nff_companion.companion_state import CompanionOptions, Orders
+from nff_companion.condition import Mode
 from nff_companion.core import vehicle
 from nff_companion.daemon.configuration import load
 from nff_companion.daemon.notify import Notifier
@@ -25,9 +28,9 @@ from nff_companion.mavlink.services import host_status as host
 from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode, name_of
 from nff_companion.mavlink.services.parameter_server import ParameterServer
 from nff_companion.mavlink.services.pilot_text import PilotText
-from nff_companion.mavlink.services.streams import StreamMonitor
+from nff_companion.mavlink.services.streams import Stream, StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.settings import settings
 from sitl.trials.demo import free_port
 from sitl.trials.process import config_text
 
@@ -257,12 +260,33 @@ def test_texts_are_short_and_do_not_flood_but_a_failure_always_passes() -> None:
     assert text.withheld >= 22
 
 
+class Settings:
+    """What a ground station may change, and what became of it."""
+
+    def __init__(self) -> None:
+        self.mode, self.options, self.flying = Mode.ALLOCATE, CompanionOptions(), False
+        self.lifted: list[int] = []
+        self.server = ParameterServer(settings(8, lambda: self.mode, self.obey, lambda: self.options, self.retune), 191)
+        self.server.adopt(1)
+
+    def obey(self, orders: Orders) -> None:
+        self.mode = self.mode if orders.mode is None else orders.mode
+        self.lifted += orders.lift
+
+    def retune(self, options: CompanionOptions) -> bool:
+        if not self.flying:
+            self.options = options
+        return not self.flying
+
+
 @pytest.fixture
-def server() -> ParameterServer:
-    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
-    server = ParameterServer(pipeline, 191, pipeline.set_mode, pipeline.lift)
-    server.adopt(1)
-    return server
+def chosen() -> Settings:
+    return Settings()
+
+
+@pytest.fixture
+def server(chosen: Settings) -> ParameterServer:
+    return chosen.server
 
 
 def ask(server: ParameterServer, message) -> list:
@@ -274,7 +298,7 @@ def put(server: ParameterServer, name: str, value: float, component: int = 191) 
     return ask(server, dialect.MAVLink_param_set_message(1, component, name.encode(), value, 9))
 
 
-def test_a_ground_station_lists_reads_and_sets(server: ParameterServer) -> None:
+def test_a_ground_station_lists_reads_and_sets(server: ParameterServer, chosen: Settings) -> None:
     listed = ask(server, dialect.MAVLink_param_request_list_message(1, 0))
     assert [m.param_index for m in listed] == list(range(len(listed)))
     assert all(m.param_count == len(listed) for m in listed)
@@ -283,13 +307,20 @@ def test_a_ground_station_lists_reads_and_sets(server: ParameterServer) -> None:
     assert value.param_value == 1.0
     (value,) = put(server, "NFF_MODE", 0.0)
     assert value.param_value == 0.0
-    assert server._pipeline.mode == Mode.OBSERVE
+    assert chosen.mode == Mode.OBSERVE
     (value,) = put(server, "NFF_MARGIN", 9.0)
     assert value.param_value == 9.0
-    assert server._pipeline.estimator.options.decision.margin_min == 9.0
+    assert chosen.options.estimator.decision.margin_min == 9.0
+    put(server, "NFF_LIFT", 3.0)
+    assert chosen.lifted == [3]
+    chosen.flying = True
+    (value,) = put(server, "NFF_MARGIN", 12.0)
+    assert value.param_value == 9.0, "in flight the answer is the value that stays"
 
 
-def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(server: ParameterServer) -> None:
+def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(
+    server: ParameterServer, chosen: Settings
+) -> None:
     for value in (99.0, -1.0, float("nan"), float("inf")):
         (answer,) = put(server, "NFF_MODE", value)
         assert answer.param_value == 1.0
@@ -297,7 +328,7 @@ def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(server:
     assert put(server, "NFF_MODE", 0.0, component=0) == [], "a broadcast must not set anything"
     assert put(server, "UNKNOWN", 0.0) == []
     assert ask(server, dialect.MAVLink_param_request_list_message(7, 0)) == []
-    assert server._pipeline.mode == Mode.ALLOCATE
+    assert chosen.mode == Mode.ALLOCATE
 
 
 def test_the_computers_state_is_sendable() -> None:
@@ -363,9 +394,10 @@ def test_the_daemon_introduces_itself_and_falls_silent_when_its_estimator_fails(
         beats = [m for m in heard if m.get_type() == "HEARTBEAT"]
         assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats[1:]} == {(3, 191)}, "the vehicle's system"
         assert beats[-1].type == dialect.MAV_TYPE_ONBOARD_CONTROLLER
-        there.daemon.pipeline.fault = "estimator: broken"
+        session = there.daemon.session
+        session.state = dataclasses.replace(session.state, fault=True)
         assert not [m for m in there.hear(3.0) if m.get_type() == "HEARTBEAT"]
-        there.daemon.pipeline.fault = ""
+        session.state = dataclasses.replace(session.state, fault=False)
         assert [m for m in there.hear(2.0) if m.get_type() == "HEARTBEAT"]
 
 
@@ -379,7 +411,7 @@ def test_the_daemon_answers_parameters_and_timesync_of_a_ground_station(tmp_path
         values = [m for m in heard if m.get_type() == "PARAM_VALUE"]
         assert [(name_of(m), m.param_value) for m in values] == [("NFF_MODE", 1.0)]
         assert any(m.get_type() == "TIMESYNC" and m.ts1 == 1234 for m in heard)
-        assert there.daemon.pipeline.mode == Mode.ALLOCATE
+        assert there.daemon.session.state.mode == Mode.ALLOCATE
 
 
 def test_an_unknown_autopilot_is_said_and_left_alone(tmp_path: Path) -> None:
@@ -402,11 +434,10 @@ def test_another_vehicle_is_said_and_gets_nothing(tmp_path: Path) -> None:
         assert targets <= {3}
 
 
-def test_telemetry_filters_are_taken_from_the_autopilot_on_the_ground() -> None:
-    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
-    before = pipeline.estimator
+def test_another_companion_is_built_for_other_filters_and_keeps_the_airframe() -> None:
+    before = Companion(vehicle.load("octo-x"), 200.0)
     other = vehicle.TelemetryTable(40.0, 30.0)
-    assert pipeline.describe_telemetry(other)
-    assert pipeline.vehicle.telemetry == other
-    assert pipeline.estimator is not before
-    assert np.array_equal(pipeline.vehicle.effectiveness, vehicle.load("octo-x").effectiveness)
+    after = before.rebuilt(telemetry=other)
+    assert after.vehicle.telemetry == other
+    assert after.rate_hz == before.rate_hz
+    assert np.array_equal(after.vehicle.effectiveness, before.vehicle.effectiveness)

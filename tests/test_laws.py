@@ -1,4 +1,4 @@
-"""The six laws of the comparison, by name, in the pipeline and in the published scenario."""
+"""The six laws of the comparison, by name, in a flight and in the published scenario."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from nff_companion.core import vehicle
+from nff_companion.companion_state import Orders
+from nff_companion.condition import Mode
+from nff_companion.core import basis_network, vehicle
 from nff_companion.core.adaptation import AdaptationOptions
-from nff_companion.core.estimator import EstimatorOptions
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
-from nff_companion.laws import LAWS
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from sitl.faults import Fault
 from sitl.trials.demo import DemoOptions, make_fleet
 from sitl.trials.paper import figures
 from sitl.trials.paper.figures import AXES, document
-from sitl.trials.paper.scenario import AFTER_S, GROUPS, Case, PaperOptions, Trace, fly, variants
-from sitl.trials.virtual import VirtualFlight
+from sitl.trials.paper.scenario import AFTER_S, GROUPS, Case, PaperOptions, Trace, fly, trial_options, variants
+from sitl.trials.research.adapted import AdaptedMatrix
+from sitl.trials.research.laws import LAWS
+from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -30,33 +32,31 @@ def test_each_law_flies_a_lost_motor_in_hover(law: str) -> None:
     fleet.faults.add(Fault(vehicle=0, motor=3, start_s=3.0))
     flight = VirtualFlight(
         fleet,
-        {0: PipelineOptions(mode=Mode.OVERRIDE, law=law)},
+        {0: TrialOptions(mode=Mode.OVERRIDE, parts=LAWS[law])},
         airframe="octo-x",
         thrust_to_weight=None,
         rate_hz=200.0,
         link_delay_s=0.01,
     )
-    pipeline = flight.companions[0].pipeline
+    companion = flight.companions[0]
     while fleet.time_s < 7.0:
         flight.step()
         if law == "omniscient" and fleet.time_s == 3.0:
-            pipeline.adopt(np.eye(8, dtype=bool)[2])
+            companion.order(Orders(adopt=(3,)))
     assert not fleet.state.crashed[0]
-    output = pipeline.last
-    assert output is not None
+    output = companion.output
     assert output.mode == Mode.OVERRIDE
     knows = law in ("eff", "nff", "omniscient")
     assert bool(output.failed[2]) == knows
     assert (output.plan is not None) == knows
     assert [e.motor for _, e in flight.companions[0].events] == ([3] if LAWS[law].identify else [])
     learns = LAWS[law].learn
-    assert (pipeline.network is not None) == learns
-    assert pipeline._knowledge.residual.any() == learns
+    assert companion.session.state.knowledge.residual.any() == learns
 
 
 def test_an_unknown_network_is_refused_at_start() -> None:
     with pytest.raises(NetworkError, match="one of"):
-        Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions(estimator=EstimatorOptions(network="somebody-elses")))
+        basis_network.for_vehicle(vehicle.load("octo-x"), "somebody-elses")
 
 
 def test_the_published_scenario_gives_its_document() -> None:
@@ -76,11 +76,13 @@ def test_the_published_scenario_gives_its_document() -> None:
     assert result["intervals"]["nff"]["named_right"] == 2
 
 
-def test_every_variant_is_a_pipeline_of_the_same_law() -> None:
+def test_every_variant_is_of_the_same_law() -> None:
     assert "full" in variants()
-    for name, options in variants().items():
-        pipeline = Pipeline(vehicle.load("paper-octo"), 200.0, options)
-        assert (pipeline.network is None) == (name == "no-phi")
+    for name, variant in variants().items():
+        assert (variant.network == "none") == (name == "no-phi")
+        assert variant.parts(LAWS["nff"]).identify
+        chosen = trial_options(PaperOptions(variant=name), "nff")
+        assert (chosen.mode, chosen.parts.name) == (Mode.OVERRIDE, "nff")
 
 
 def trace(error_deg: float, error_m: float, *, until_s: float = AFTER_S, seed: int = 1, law: str = "nff") -> Trace:
@@ -151,41 +153,31 @@ def test_the_gap_closed_and_the_change_against_baseline_are_what_they_say() -> N
 
 @pytest.mark.parametrize(
     ("feed", "law", "fed"),
-    [
-        ("learning", "nff", True),
-        ("learning", "baseline", False),
-        ("always", "baseline", True),
-        ("never", "nff", False),
-    ],
+    [(None, "nff", True), (None, "baseline", False), (True, "baseline", True), (False, "nff", False)],
 )
-def test_the_lateral_force_is_fed_forward_to_whom_the_option_says(feed, law: str, fed: bool) -> None:
-    options = PipelineOptions(mode=Mode.OVERRIDE, law=law, feed_lateral=feed)
+def test_the_lateral_force_is_fed_forward_to_whom_the_parts_say(feed: bool | None, law: str, fed: bool) -> None:
+    parts = LAWS[law] if feed is None else dataclasses.replace(LAWS[law], feed_lateral=feed)
     flight = VirtualFlight(
         make_fleet(DemoOptions(failures=[], wind_m_s=6.0)),
-        {0: options},
+        {0: TrialOptions(mode=Mode.OVERRIDE, parts=parts)},
         airframe="octo-x",
-        thrust_to_weight=None,
-        rate_hz=200.0,
-        link_delay_s=0.01,
     )
     while flight.fleet.time_s < 4.0:
         flight.step()
-    known = flight.companions[0].pipeline._knowledge
+    known = flight.companions[0].session.state.knowledge
     assert bool(known.push_m_s2.any()) == fed
     assert bool(known.residual.any()) == (law == "nff")
 
 
-def test_the_next_flight_begins_without_the_adapted_matrix() -> None:
-    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions(law="b"))
-    adapted = pipeline._adapted
-    assert adapted is not None
-    nominal = adapted.allocation(np.zeros((8, 4)))
-    lost = -0.5 * pipeline.vehicle.acceleration_effectiveness[:, 2] * pipeline.vehicle.hover
+def test_the_adapted_matrix_learns_a_lost_motor_and_begins_anew(octo: Vehicle) -> None:
+    adapted = AdaptedMatrix(octo)
+    state, nominal = adapted.allocation(adapted.start(), np.zeros((8, 4)))
+    lost = -0.5 * octo.acceleration_effectiveness[:, 2] * octo.hover
     for _ in range(200):
-        adapted.step(SimpleNamespace(weight=np.full(8, pipeline.vehicle.hover), raw=lost), 0.005)
-    assert not np.allclose(adapted.allocation(nominal), nominal)
-    pipeline._forget()
-    np.testing.assert_allclose(adapted.allocation(np.zeros((8, 4))), nominal)
+        state = adapted.step(state, SimpleNamespace(weight=np.full(8, octo.hover), raw=lost), 0.005)
+    _, learnt = adapted.allocation(state, nominal)
+    assert not np.allclose(learnt, nominal)
+    np.testing.assert_allclose(adapted.allocation(adapted.start(), np.zeros((8, 4)))[1], nominal)
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from conftest import DATA
 
+from nff_companion.companion import Companion
+from nff_companion.condition import Condition, Mode
 from nff_companion.core import vehicle
+from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
 from nff_companion.errors import LogError
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.replay import tlog
 from nff_companion.replay.run import rate_of, read, replay
 
@@ -157,8 +159,12 @@ class TestRealFlights:
         for path in self.logs():
             before, _ = self.switch_s(path)
             _, rows = read(path, model)
-            pipeline = Pipeline(seen, rate_of(s for _, s in rows), PipelineOptions(mode=Mode.OBSERVE))
-            events = [e for _, sample in turned(model, rows, quarters) for e in pipeline.step(sample).events]
+            companion = Companion(seen, rate_of(s for _, s in rows))
+            state = companion.start(Mode.OBSERVE)
+            events: list[Event] = []
+            for _, sample in turned(model, rows, quarters):
+                state, output = companion.step(state, sample, Condition())
+                events += output.events
             assert events, path.name
             assert events[0].motor == 1 + quarters, path.name
             assert events[0].time_s > before, path.name

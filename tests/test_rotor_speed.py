@@ -13,11 +13,10 @@ from nff_companion.core import vehicle
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.core.sample import Sample
 from nff_companion.mavlink.codec import Codec, dialect
-from nff_companion.pipeline import PipelineOptions
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
-from sitl.trials.virtual import VirtualFlight
+from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 FAIL_S = 4.0
 STOPPED_SHARE = 0.35
@@ -42,7 +41,7 @@ def flight(failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, 
 
     virtual = VirtualFlight(
         fleet,
-        {0: PipelineOptions()},
+        {0: TrialOptions()},
         airframe="octo-x",
         thrust_to_weight=None,
         rate_hz=200.0,
@@ -55,7 +54,7 @@ def flight(failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, 
     companion = virtual.companions[0]
     assert not fleet.state.crashed[0]
     events = {event.motor: time_s for time_s, event in companion.events if event.declared}
-    return events, shown, companion.pipeline
+    return events, shown, companion.session
 
 
 def honest(sample: Sample) -> Sample:
@@ -119,8 +118,8 @@ def test_telemetry_that_lies_hides_nothing(lie: Callable[[Sample], Sample]) -> N
 
 
 def test_a_dead_speed_sensor_is_called_one() -> None:
-    _, _, pipeline = flight([], one_dead_sensor, end_s=FAIL_S + 1.0)
-    assert pipeline.speed_faults == [5]
+    _, _, session = flight([], one_dead_sensor, end_s=FAIL_S + 1.0)
+    assert session.companion.speed_faults(session.state) == [5]
 
 
 def test_a_watch_needs_proof_before_it_believes_a_zero() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from nff_companion.cli.flight import parse_failures
 from nff_companion.errors import ConfigError
-from sitl.trials.detectors import pipeline_factory
+from sitl.trials.research.detectors import parts_of
 from sitl.trials.survey import SurveyOptions, failure_sets, run, summary
 
 NFF = [sys.executable, "-m", "nff_companion.cli.main"]
@@ -66,7 +66,7 @@ def test_failures_are_read_as_motor_at_seconds() -> None:
 
 def test_an_unknown_detector_is_named_with_the_choices() -> None:
     with pytest.raises(ConfigError, match="sparse, imm"):
-        pipeline_factory("oracle")
+        parts_of("oracle")
 
 
 def test_bench_allocation_prints_one_document() -> None:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from nff_companion.allocation import Allocator, authority, problem_for
+from nff_companion.allocation.lift import balanced_thrust
 from nff_companion.allocation.verify import fault_of
 from nff_companion.core.vehicle import YAW
 from nff_companion.errors import AllocationInfeasible, SolverError
@@ -38,9 +39,10 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """No matrix may be sent, and why."""
+    """No matrix may be sent, and why; ``lift`` False: the motors left cannot carry the weight at all."""
 
     reason: str
+    lift: bool = True
 
 
 def make_plan(
@@ -77,4 +79,4 @@ def make_plan(
         if least >= ATTITUDE_AUTHORITY_MIN:
             spare = plan  # good enough should giving up yaw not work
         reason = f"roll/pitch authority at hover only {least:.2f}"
-    return spare or Refusal(reason=reason)
+    return spare or Refusal(reason=reason, lift=balanced_thrust(nominal, effectiveness) >= hover)

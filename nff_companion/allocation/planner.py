@@ -1,6 +1,9 @@
-"""When to solve the allocation again, for which effectiveness, and what to keep when no new matrix may be used."""
+"""When to solve the allocation again, for which effectiveness, and what to keep where no new matrix may be used."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -15,8 +18,6 @@ from nff_companion.core.vehicle import Vehicle
 class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuning."""
 
-    follow_estimate: bool = False  # the published way: allocate for the shaped estimate itself, nothing declared
-    shape: bool = True  # of the estimate, (24)
     shape_full_at: float = 0.75  # zeta
     shape_none_below: float = 0.30  # xi; below it a motor is removed
     degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
@@ -26,83 +27,118 @@ class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     double_within_s: float = 0.5  # two declarations within this time are a double failure
 
 
-class Planner:
-    """Holds the matrix that should be in force; ``plan`` None is the autopilot's own."""
+@dataclass(frozen=True, slots=True)
+class PlannerState:
+    """``plan``: the matrix that should be in force, None: the autopilot's own. Times of the autopilot's clock."""
 
-    def __init__(self, vehicle: Vehicle, allocate: Allocator, options: PlannerOptions) -> None:
-        self._vehicle, self._allocate, self._options = vehicle, allocate, options
-        self.plan: Plan | None = None
-        self.refusal = ""
-        self.rejected = 0
-        self.planned_for = np.ones(vehicle.motors)  # NaN: not yet solved
-        self.restart()
-        self._untouched = True  # all motors healthy, the autopilot's own allocation in force
+    planned_for: np.ndarray  # (m,) effectiveness; NaN: not yet solved
+    low_since_s: np.ndarray  # (m,) since when a motor is partly lost, NaN: it is not
+    plan: Plan | None = None
+    refusal: Refusal | None = None
+    rejected: int = 0
+    planned_s: float = -np.inf
+    caught_s: float = -np.inf
+    declared_s: float = -np.inf
+    catching: bool = False
+    untouched: bool = True  # all motors healthy, the autopilot's own allocation in force
+
+    @property
+    def degraded(self) -> np.ndarray:
+        """(m,) bool: allocated around; NaN, not yet planned, is not."""
+        return self.planned_for < 1.0
+
+
+Target = Callable[[Estimate], np.ndarray]
+
+
+class Planner:
+    """Constants of one vehicle. ``target``: another rule for what to allocate for, of research; None: ours."""
+
+    def __init__(
+        self, vehicle: Vehicle, allocate: Allocator, options: PlannerOptions | None = None, target: Target | None = None
+    ) -> None:
+        self._vehicle, self._allocate, self._options = vehicle, allocate, options or PlannerOptions()
+        self._given_target = target
         healthy = make_plan(allocate, vehicle.effectiveness, np.ones(vehicle.motors), vehicle.hover)
         self.healthy = healthy if isinstance(healthy, Plan) else None
 
-    def restart(self) -> None:
+    def start(self) -> PlannerState:
+        """All motors healthy."""
+        m = self._vehicle.motors
+        return PlannerState(planned_for=np.ones(m), low_since_s=np.full(m, np.nan))
+
+    def interrupted(self, state: PlannerState) -> PlannerState:
         """Telemetry was interrupted: the plan stays, its times do not."""
-        self._planned_s = self._caught_s = self._declared_s = -np.inf
-        self._catching = False
-        self._low_since_s = np.full(self._vehicle.motors, np.nan)
+        start = self.start()
+        return replace(
+            start,
+            planned_for=state.planned_for,
+            plan=state.plan,
+            refusal=state.refusal,
+            rejected=state.rejected,
+            untouched=state.untouched,
+        )
 
-    def forget(self) -> None:
+    def forgotten(self, state: PlannerState) -> PlannerState:
         """The next flight starts with all motors."""
-        self.plan, self.refusal = None, ""
-        self.planned_for = np.ones_like(self.planned_for)
+        return replace(state, plan=None, refusal=None, planned_for=np.ones_like(state.planned_for))
 
-    def step(self, time_s: float, estimate: Estimate) -> None:
+    def step(self, state: PlannerState, time_s: float, estimate: Estimate) -> PlannerState:
         """Solve the allocation again when what is believed of the motors has moved."""
         o = self._options
-        clear = float(estimate.effectiveness.min()) >= (o.shape_full_at if o.shape else 1.0)
-        clear = clear and not estimate.failed.any()
-        if clear and self._untouched:
-            return
-        target = self._target(time_s, estimate)
-        self._untouched = clear
-        change = float(np.nan_to_num(np.abs(target - self.planned_for), nan=1.0).max())
-        declared = bool(estimate.events)
-        if declared:
-            if len(estimate.events) > 1 or time_s - self._declared_s < o.double_within_s:
-                self._caught_s = time_s + o.catch_s
-            self._declared_s = time_s
-        catching = time_s < self._caught_s
-        caught = self._catching and not catching
-        self._catching = catching
-        if not (declared or caught) and (change < o.resolve_change or time_s - self._planned_s < o.resolve_interval_s):
-            self._untouched = self._untouched and change == 0.0
-            return
-        self._planned_s, self.planned_for = time_s, target
-        if (target == 1.0).all():
-            self.plan, self.refusal = None, ""
-            return
-        self._untouched = False
-        plan = make_plan(self._allocate, self._vehicle.effectiveness, target, self._vehicle.hover, catching=catching)
-        if isinstance(plan, Refusal):
-            self.rejected += 1
-            self.refusal = f"no new matrix: {plan.reason}"
-            self.planned_for = np.full_like(target, np.nan)  # try again after the interval
-            if self.plan is not None and self.plan.matrix[estimate.failed].any():
-                self.plan = None  # it drives a motor that is dead: the autopilot's own reduced mixing is better
-        else:
-            self.plan, self.refusal = plan, ""
+        full_at = o.shape_full_at if self._given_target is None else 1.0
+        clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any()
+        if clear and state.untouched:
+            return state
+        low_since, target = self._target(state, time_s, estimate)
+        change = float(np.nan_to_num(np.abs(target - state.planned_for), nan=1.0).max())
+        declared_s, caught_s = state.declared_s, state.caught_s
+        if estimate.events:
+            if len(estimate.events) > 1 or time_s - declared_s < o.double_within_s:
+                caught_s = time_s + o.catch_s
+            declared_s = time_s
+        catching = time_s < caught_s
+        at_once = bool(estimate.events) or (state.catching and not catching)
+        state = replace(
+            state,
+            low_since_s=low_since,
+            declared_s=declared_s,
+            caught_s=caught_s,
+            catching=catching,
+            untouched=clear,
+        )
+        if not at_once and (change < o.resolve_change or time_s - state.planned_s < o.resolve_interval_s):
+            return replace(state, untouched=clear and change == 0.0)
+        return self._solved(replace(state, planned_s=time_s, planned_for=target), target, estimate)
 
-    def _target(self, time_s: float, estimate: Estimate) -> np.ndarray:
-        """Effectiveness (m,) to allocate for: declared motors gone, a lasting partial loss shaped, the rest whole."""
+    def _solved(self, state: PlannerState, target: np.ndarray, estimate: Estimate) -> PlannerState:
+        """With the matrix for ``target`` (m,), or the reason that there is none."""
+        if (target == 1.0).all():
+            return replace(state, plan=None, refusal=None)
+        vehicle = self._vehicle
+        plan = make_plan(self._allocate, vehicle.effectiveness, target, vehicle.hover, catching=state.catching)
+        if isinstance(plan, Plan):
+            return replace(state, plan=plan, refusal=None, untouched=False)
+        kept = state.plan
+        if kept is not None and kept.matrix[estimate.failed].any():
+            kept = None  # it drives a motor that is dead: the autopilot's own reduced mixing is better
+        again = np.full_like(target, np.nan)  # tried after the interval
+        return replace(state, plan=kept, refusal=plan, rejected=state.rejected + 1, planned_for=again, untouched=False)
+
+    def _target(self, state: PlannerState, time_s: float, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+        """Since when motors are partly lost (m,), and the effectiveness (m,) to allocate for: declared motors gone, a
+        lasting partial loss shaped, the rest whole."""
         o = self._options
-        if o.follow_estimate:
-            eta = np.minimum(np.maximum(estimate.effectiveness, 0.0), 1.0)
-            return sparse.shape(eta, o.shape_full_at, o.shape_none_below) if o.shape else eta
+        if self._given_target is not None:
+            return state.low_since_s, self._given_target(estimate)
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
         if int(low.sum()) > 1:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         target = np.ones(self._vehicle.motors)
+        low_since = np.where(low, np.fmin(state.low_since_s, time_s), np.nan)
         if low.any():
-            self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
-            lasting = time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s
+            lasting = time_s - np.nan_to_num(low_since, nan=np.inf) >= o.degraded_for_s
             shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
             target = np.where(low & lasting, np.maximum(shaped, 0.1), target)
-        else:
-            self._low_since_s[:] = np.nan
         target[estimate.failed] = 0.0
-        return target
+        return low_since, target

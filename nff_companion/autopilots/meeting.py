@@ -7,40 +7,56 @@ from typing import Literal
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
-from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.base import Adapter
-from nff_companion.autopilots.nff import NffDialectAdapter
-from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
+from nff_companion.autopilots.nff import NffAdapter
+
+Method = str
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import dialect
 
-Kind = Literal["auto", "nff", "ardupilot", "px4"]
+Kind = Literal["nff", "ardupilot", "px4"]
+Choice = Literal["auto", "nff", "ardupilot", "px4"]
+_BY_AUTOPILOT: dict[int, Kind] = {
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    dialect.MAV_AUTOPILOT_PX4: "px4",
+    dialect.MAV_AUTOPILOT_GENERIC: "nff",
+}
 
 
 class Meeting:
     """Makes adapters for one vehicle; allocations ahead of time are computed once, at start."""
 
-    def __init__(self, vehicle: Vehicle, kind: Kind, method: str, journal: Path, px4_method: Method = "scale") -> None:
-        self._vehicle, self._kind, self._journal, self._px4_method = vehicle, kind, journal, px4_method
-        self._plans: dict[int, Plan] = tables.compute(vehicle, allocator(method)) if kind != "nff" else {}
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        choice: Choice,
+        method: str,
+        journal: Path,
+        px4_method: Method = "scale",
+        *,
+        instance: int = 1,
+        plans: dict[int, Plan] | None = None,
+    ) -> None:
+        """``instance`` tells companions apart; ``plans`` that exist already need not be computed again."""
+        self._vehicle, self._choice, self._journal, self._px4_method = vehicle, choice, journal, px4_method
+        self.instance = instance
+        ahead = choice in ("auto", "ardupilot") and plans is None
+        self._plans = tables.compute(vehicle, allocator(method)) if ahead else plans or {}
 
-    def first(self, target: tuple[int, int], autopilot: int) -> Adapter | None:
-        """Adapter for an autopilot of this MAV_AUTOPILOT; None for one that we cannot serve."""
-        kind: str = self._kind
-        if kind == "auto":
-            kind = {
-                dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-                dialect.MAV_AUTOPILOT_PX4: "px4",
-                dialect.MAV_AUTOPILOT_GENERIC: "nff",
-            }.get(autopilot, "")
+    def kind(self, autopilot: int, *, speaks_our_dialect: bool) -> Kind | None:
+        """Adapter for an autopilot of this MAV_AUTOPILOT; None for one that cannot be served."""
+        if self._choice != "auto":
+            return self._choice
+        return "nff" if speaks_our_dialect else _BY_AUTOPILOT.get(autopilot)
+
+    def adapter(self, kind: Kind, target: tuple[int, int]) -> Adapter:
+        """A new one, that knows nothing of its autopilot yet."""
         if kind == "ardupilot":
-            return ArduPilotAdapter(self._vehicle, target, self._plans)
-        if kind == "px4":
-            return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)
-        return NffDialectAdapter(self._vehicle, target) if kind == "nff" else None
+            from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 
-    def better(self, adapter: Adapter, message_id: int) -> Adapter | None:
-        """Another adapter when the autopilot turns out to speak our dialect, whatever its heartbeat says."""
-        if self._kind != "auto" or adapter.name == "nff" or message_id != dialect.MAVLINK_MSG_ID_NFF_APPLIED:
-            return None
-        return NffDialectAdapter(self._vehicle, adapter.target)
+            return ArduPilotAdapter(self._vehicle, target, self._plans, self.instance)
+        if kind == "px4":
+            from nff_companion.autopilots.px4.adapter import Px4Adapter
+
+            return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)
+        return NffAdapter(self._vehicle, target)

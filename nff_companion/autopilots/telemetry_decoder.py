@@ -45,7 +45,7 @@ class TelemetryDecoder:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._names = [f"servo{i}_raw" for i in range(1, vehicle.motors + 1)]
-        self._armed = False
+        self._armed: bool | None = None  # not heard
         self._output: np.ndarray = np.full(vehicle.motors, np.nan)
         self._output_usec: int | None = None
         self._quaternion: np.ndarray | None = None
@@ -76,6 +76,11 @@ class TelemetryDecoder:
             "ESC_TELEMETRY_5_TO_8": self._esc_telemetry,
             "ESC_TELEMETRY_9_TO_12": self._esc_telemetry,
         }
+
+    @property
+    def armed(self) -> bool | None:
+        """By the autopilot's word; None: it has not said."""
+        return self._armed
 
     def observe(self, message: Message) -> Sample | None:
         """Take one message of the autopilot; the sample that it completes, if any."""
@@ -154,7 +159,7 @@ class TelemetryDecoder:
             gyro_rad_s=np.array([message.xgyro, message.ygyro, message.zgyro]),
             specific_force_m_s2=np.array([message.xacc, message.yacc, message.zacc]),
             output=self._output if fresh else np.full_like(self._output, np.nan),
-            armed=self._armed,
+            armed=bool(self._armed),
             quaternion=self._quaternion if abs(time_s - self._quaternion_s) <= ATTITUDE_AGE_MAX_S else None,
             position_m=self._position if located else None,
             velocity_m_s=self._velocity if located else None,

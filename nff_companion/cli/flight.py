@@ -96,7 +96,7 @@ def sitl(
     link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
     card = None
     if personality == "ardupilot":
-        from sitl.trials.wire import Workshop, temporary_card
+        from sitl.trials.virtual import Workshop, temporary_card
 
         card = temporary_card()
         Workshop.prepare(vehicle.load(airframe, thrust_to_weight=thrust_to_weight or None), "trim", card.name)

@@ -201,7 +201,8 @@ class ControlLaw:
         dx, dy = (_clip(value, _DRAG_MAX_M_S2) for value in knowledge.push_m_s2.tolist())
         drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
         push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
-        specific = max(-_dot(push, body[2]), _MIN_THRUST_SHARE * GRAVITY_M_S2) - float(knowledge.residual[0])
+        # The floor is on what the motors give, after phi a is taken off: nobody asks a motor for less than nothing.
+        specific = max(-_dot(push, body[2]) - float(knowledge.residual[0]), _MIN_THRUST_SHARE * GRAVITY_M_S2)
 
         down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
         heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)

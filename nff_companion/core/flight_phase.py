@@ -1,6 +1,8 @@
-"""Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense."""
+"""Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense. Pure."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -16,6 +18,7 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     thrust_share: float = 0.7
     sure_after_s: float = 0.5  # with height and thrust
     assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
+    told_after_s: float = 0.2  # after a restart in flight, with the autopilot's word that it flies
     ended_share: float = 0.3
     ended_after_s: float = 0.5
     impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
@@ -24,58 +27,75 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     impact_below_m: float = 3.0  # above the ground: higher up there is nothing to stand on
 
 
+@dataclass(frozen=True, slots=True)
+class FlightPhaseState:
+    """What is known of the flight. Heights in m above where the position counts from; None: not known."""
+
+    flying: bool = False
+    flew: bool = False  # since it was armed
+    landed_and_disarmed: bool = False  # with this sample, after a flight
+    hit: bool = False  # something was hit near the ground, and it may still be standing on it
+    over: int = 0  # samples in a row beyond what the motors can give
+    ground_m: float | None = None
+    pushing_since_s: float | None = None
+    idle_since_s: float | None = None
+
+
 class FlightPhase:
-    """Small state machine over samples."""
+    """Constants of one airframe; ``step`` takes and returns the state."""
 
-    def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions) -> None:
-        self._options, self._hover = options, vehicle.hover
+    def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions | None = None) -> None:
+        self._options, self._hover = options or FlightPhaseOptions(), vehicle.hover
         full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
-        self._impact_m_s2 = options.impact_share * full + options.impact_m_s2
-        self._hit = False
-        self._over = 0
-        self._flying = False
-        self._ground_m: float | None = None
-        self._pushing_since_s: float | None = None
-        self._idle_since_s: float | None = None
-        self.disarmed_after_flight = False
-        self._flew = False
+        self._impact_squared = (self._options.impact_share * full + self._options.impact_m_s2) ** 2
 
-    def step(self, sample: Sample, thrust: np.ndarray) -> bool:
-        """True while flying; ``thrust`` (m,) fractions commanded."""
-        o, time_s = self._options, sample.time_s
-        share = float(thrust.mean()) / self._hover
+    def step(self, state: FlightPhaseState, sample: Sample, thrust: np.ndarray) -> FlightPhaseState:
+        """One sample; ``thrust`` (m,) fractions commanded."""
         height = None if sample.position_m is None else -float(sample.position_m[2])
-        self.disarmed_after_flight = False
         if not sample.armed:
-            self.disarmed_after_flight = self._flew
-            self._flying = self._flew = False
-            self._ground_m = height
-            self._pushing_since_s = None
-            self._hit = False
-            return False
+            return FlightPhaseState(ground_m=height, landed_and_disarmed=state.flew)
+        o, time_s = self._options, sample.time_s
+        share = float(thrust.sum()) / len(thrust) / self._hover
+        pushing_since = None if share < o.thrust_share else _since(state.pushing_since_s, time_s)
+        idle_since = None if share > o.ended_share else _since(state.idle_since_s, time_s)
+        hit, ground, flying = state.hit, state.ground_m, state.flying
         force = sample.specific_force_m_s2
-        self._over = self._over + 1 if float(force @ force) > self._impact_m_s2**2 else 0
-        low = height is None or self._ground_m is None or height - self._ground_m < o.impact_below_m
-        if self._over >= o.impact_samples and low:
+        over = state.over + 1 if float(force @ force) > self._impact_squared else 0
+        if over >= o.impact_samples and self._low(sample, height, ground):
             # What was hit still pushes: only a climb from here, or the autopilot's word, is flight again.
-            self._hit, self._ground_m, self._flying = True, height, False
-            self._pushing_since_s = None
-        if share < o.thrust_share:
-            self._pushing_since_s = None
-        elif self._pushing_since_s is None or time_s < self._pushing_since_s:
-            self._pushing_since_s = time_s
-        if share > o.ended_share:
-            self._idle_since_s = None
-        elif self._idle_since_s is None or time_s < self._idle_since_s:
-            self._idle_since_s = time_s
-        if self._flying:
-            idle = self._idle_since_s is not None and time_s - self._idle_since_s >= o.ended_after_s
-            self._flying = not idle
-        elif self._pushing_since_s is not None:
-            pushing = time_s - self._pushing_since_s
-            high = height is not None and self._ground_m is not None and height - self._ground_m > o.height_m
-            assumed = pushing >= o.assumed_after_s and (not self._hit or sample.landed is False)
-            self._flying = assumed or (high and pushing >= o.sure_after_s)
-            self._hit = self._hit and not self._flying
-        self._flew = self._flew or self._flying
-        return self._flying
+            hit, ground, flying, pushing_since = True, height, False, None
+        if flying:
+            flying = idle_since is None or time_s - idle_since < o.ended_after_s
+        elif pushing_since is not None:
+            flying = self._taken_off(sample, time_s - pushing_since, height, ground, hit=hit)
+            hit = hit and not flying
+        return FlightPhaseState(
+            flying=flying,
+            flew=state.flew or flying,
+            hit=hit,
+            over=over,
+            ground_m=ground,
+            pushing_since_s=pushing_since,
+            idle_since_s=idle_since,
+        )
+
+    def _taken_off(
+        self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool
+    ) -> bool:
+        o = self._options
+        if height is not None and ground is not None and height - ground > o.height_m:
+            return pushing_s >= o.sure_after_s
+        if ground is None and sample.landed is False:
+            return pushing_s >= o.told_after_s
+        return pushing_s >= o.assumed_after_s and (not hit or sample.landed is False)
+
+    def _low(self, sample: Sample, height: float | None, ground: float | None) -> bool:
+        """Near enough to the ground to have hit it. Where the ground is, a restart in flight does not know: then the
+        autopilot's word counts, and without one a vehicle that has no height."""
+        if height is not None and ground is not None:
+            return height - ground < self._options.impact_below_m
+        return sample.landed is True or (sample.landed is None and height is None)
+
+
+def _since(before: float | None, time_s: float) -> float:
+    return time_s if before is None or time_s < before else before

@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from nff_companion.companion_state import CompanionOptions
+from nff_companion.condition import Mode
 from nff_companion.core.estimator import EstimatorOptions
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.endpoint import parse
-from nff_companion.pipeline import Mode, PipelineOptions
 
 ModeName = Literal["observe", "allocate", "override"]
 MODES: dict[str, Mode] = {"observe": Mode.OBSERVE, "allocate": Mode.ALLOCATE, "override": Mode.OVERRIDE}
@@ -42,7 +43,6 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     mode: ModeName = "allocate"
     allocation: str = "trim"
-    law: Literal["baseline", "nf", "b", "eff", "nff"] = "nff"
     status_socket: str = ""
     state_folder: str = ""
 
@@ -55,14 +55,9 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     companion: CompanionConfig = CompanionConfig()
     estimator: EstimatorOptions = EstimatorOptions()
 
-    def pipeline_options(self) -> PipelineOptions:
-        """Options of the pipeline that this file asks for."""
-        return PipelineOptions(
-            mode=MODES[self.companion.mode],
-            allocation=self.companion.allocation,
-            law=self.companion.law,
-            estimator=self.estimator,
-        )
+    def companion_options(self) -> CompanionOptions:
+        """Options of the companion that this file asks for."""
+        return CompanionOptions(allocation=self.companion.allocation, estimator=self.estimator)
 
 
 def default_status_socket() -> str:

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Callable
 from pathlib import Path
 
 from nff_companion.autopilots.meeting import Meeting
+from nff_companion.companion import Companion
+from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
-from nff_companion.core.vehicle import Vehicle
-from nff_companion.daemon.configuration import Config, default_state_folder
+from nff_companion.daemon.configuration import MODES, Config, default_state_folder
+from nff_companion.mavlink.codec import Message
+from nff_companion.session import Session, SessionOptions
 
 _JOURNAL = "parameters.journal"
 
 
-def prepare(config: Config) -> tuple[Vehicle, Meeting]:
-    """The vehicle, and the adapters it may need. Raises ConfigError."""
+def prepare(
+    config: Config, now_s: float, *, act: bool = True, host_status: Callable[[], Message] | None = None
+) -> Session:
+    """The session of ``config``; ``act`` False: one that changes nothing. Raises ConfigError, NetworkError."""
     vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
     folder = Path(config.companion.state_folder or default_state_folder())
     link, method = config.link, config.companion.allocation
-    return vehicle, Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method)
+    instance = 1 + secrets.randbelow(0xFFFF)
+    meeting = Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method, instance=instance)
+    network = basis_network.for_vehicle(vehicle, config.estimator.network)
+    companion = Companion(vehicle, link.rate_hz, config.companion_options(), network=network)
+    options = SessionOptions(
+        mode=MODES[config.companion.mode] if act else MODES["observe"],
+        rate_hz=link.rate_hz,
+        component=link.component,
+        system=link.system,
+        stream_timeout_s=link.stream_timeout_s,
+        act=act,
+    )
+    return Session(companion, meeting, options, now_s, host_status)
 
 
 def endpoints(config: Config) -> list[str]:

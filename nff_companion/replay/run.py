@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.companion import Companion
+from nff_companion.companion_state import CompanionOptions
+from nff_companion.condition import Condition, Mode
+from nff_companion.core import basis_network
 from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 from nff_companion.replay import dataflash, tlog, ulog
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
@@ -50,15 +53,16 @@ def rate_of(samples: Iterable[Sample]) -> float:
     return float(np.clip(rate, *_RATES_HZ))
 
 
-def replay(path: Path, vehicle: Vehicle, options: PipelineOptions | None = None) -> dict[str, Any]:
+def replay(path: Path, vehicle: Vehicle, options: CompanionOptions | None = None) -> dict[str, Any]:
     """Faults found in one log; ``time_s`` from its first record. Raises LogError."""
     first, rows = read(path, vehicle)
-    chosen = options or PipelineOptions(mode=Mode.OBSERVE)
-    pipeline = Pipeline(vehicle, rate_of(sample for _, sample in rows), chosen)
+    network = basis_network.for_vehicle(vehicle, "airframe")
+    companion = Companion(vehicle, rate_of(sample for _, sample in rows), options, network=network)
+    state, nobody = companion.start(Mode.OBSERVE), Condition()
     faults: list[dict[str, Any]] = []
     settling: list[tuple[float, Event, dict[str, Any]]] = []
     for stamp, sample in rows:
-        output = pipeline.step(sample)
+        state, output = companion.step(state, sample, nobody)
         for event in output.events:
             if event.declared:
                 fault = {
@@ -77,6 +81,6 @@ def replay(path: Path, vehicle: Vehicle, options: PipelineOptions | None = None)
         "file": str(path),
         "duration_s": round(rows[-1][0] - first, 3),
         "samples": len(rows),
-        "bad_samples": pipeline.bad_samples,
+        "bad_samples": state.bad_samples,
         "faults": faults,
     }

@@ -1,7 +1,7 @@
 """Flights without failures, as the network is trained on: inputs and residuals of each condition, at up to 50 Hz.
 
 A condition is what stays the same during one flight: this vehicle, this payload, this wind. Inputs and residuals come
-out of the companion's own pipeline, so that training and flight see the same.
+out of the companion's own step, so that training and flight see the same.
 """
 
 from __future__ import annotations
@@ -12,15 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nff_companion.core.estimator import EstimatorOptions
+from nff_companion import condition as conditions
+from nff_companion.companion import Companion
+from nff_companion.core.parts import Parts
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import AXES, Vehicle
 from nff_companion.errors import LogError
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
 
 RATE_HZ = 50.0
 _SETTLE_S = 2.0  # of each flight left out: filters and take-off
 _ROWS_MIN = 400
+_NOBODY = conditions.Condition()  # there is no autopilot to be told
 _MEAN_MAX_MOTORS = 2.5  # mean residual of a flight, in losses of one motor at hover: beyond it is another vehicle
 
 
@@ -59,8 +61,9 @@ class Recorder:
     """Takes the samples of one flight; ``condition`` is what has come of them."""
 
     def __init__(self, vehicle: Vehicle, rate_hz: float) -> None:
-        estimator = EstimatorOptions(network="none")
-        self._pipeline = Pipeline(vehicle, rate_hz, PipelineOptions(mode=Mode.OBSERVE, law="nf", estimator=estimator))
+        # phi a may explain everything: no motor is looked for in flights without failures.
+        self._companion = Companion(vehicle, rate_hz, parts=Parts(name="nf", identify=False))
+        self._state = self._companion.start(conditions.Mode.OBSERVE)
         self._vehicle, self._rate_hz = vehicle, min(rate_hz, RATE_HZ)
         self._features: list[np.ndarray] = []
         self._residual: list[np.ndarray] = []
@@ -69,7 +72,7 @@ class Recorder:
 
     def add(self, sample: Sample) -> None:
         """One telemetry sample."""
-        output = self._pipeline.step(sample)
+        self._state, output = self._companion.step(self._state, sample, _NOBODY)
         estimate = output.estimate
         if estimate is None:
             self._flying_since_s = None

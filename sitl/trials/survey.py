@@ -12,19 +12,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from nff_companion.companion_state import CompanionOptions
+from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import Event
-from nff_companion.core.estimator import EstimatorOptions
-from nff_companion.pipeline import Mode, PipelineOptions
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward, healthy
 from sitl.trials.comparison import rms_ratio
-from sitl.trials.detectors import pipeline_factory
-from sitl.trials.virtual import Companion, VirtualFlight
-from sitl.trials.wire import WireCompanion, Workshop, temporary_card
+from sitl.trials.research.detectors import parts_of
+from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, Workshop, temporary_card
 
 FAULT_AT_S = 5.0
 FLY_ON_S = 20.0
@@ -155,10 +154,8 @@ def _build(
     workshop = None
     if options.personality == "ardupilot":
         model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
-        workshop = Workshop.prepare(model, PipelineOptions().allocation, card)
-    chosen = PipelineOptions(
-        mode=options.mode, estimator=EstimatorOptions(network=options.network, joint=options.joint)
-    )
+        workshop = Workshop.prepare(model, CompanionOptions().allocation, card)
+    chosen = TrialOptions(mode=options.mode, network=options.network, parts=parts_of(options.detector, options.joint))
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
         dict.fromkeys(companions, chosen),
@@ -166,7 +163,6 @@ def _build(
         thrust_to_weight=options.thrust_to_weight,
         rate_hz=options.rate_hz,
         link_delay_s=options.link_delay_s,
-        make_pipeline=pipeline_factory(options.detector),
         workshop=workshop,
         rotor_speeds=options.rotor_speeds,
     )
@@ -252,7 +248,7 @@ def _fly_healthy(options: SurveyOptions, flights: list[tuple[tuple[int, ...], in
     return results
 
 
-def _declarations(companion: Companion | WireCompanion) -> list[tuple[float, Event]]:
+def _declarations(companion: TrialCompanion) -> list[tuple[float, Event]]:
     return [(time_s, event) for time_s, event in companion.events if event.declared]
 
 

@@ -1,72 +1,147 @@
-"""Fleet and companions in virtual time: many vehicles stepped together, each with its own pipeline.
+"""Fleet and companions in virtual time: many vehicles stepped together, each with the session that ships.
 
-The link between them delays; it does not encode (the wire has its own tests and the demo).
+Every message is encoded, delayed and decoded; loop, schedule and adapters are the product's own.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from nff_companion.allocation import allocator, tables
+from nff_companion.autopilots.ardupilot.install import install
+from nff_companion.autopilots.base import Adapter
+from nff_companion.autopilots.meeting import Kind, Meeting
+from nff_companion.companion import Companion
+from nff_companion.companion_state import CompanionOptions, Orders, Output
+from nff_companion.condition import Mode
+from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import Event
+from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.sample import Sample
-from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, Message
+from nff_companion.session import Outgoing, Session, SessionOptions
 from sitl import rotation
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.trials.channel import Channel
-from sitl.trials.wire import WireCompanion, Workshop
+from sitl.trials.wire import SYSTEM, WireAutopilot
 
-MATRIX_TIMEOUT_S = 0.5
-OVERRIDE_TIMEOUT_S = 0.1
-MATRIX_INTERVAL_S = 0.05
+Alter = Callable[[Sample], Sample]
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A command on its way to the autopilot."""
+@dataclass(frozen=True, kw_only=True)
+class TrialOptions:
+    """One companion of a trial."""
 
-    kind: Literal["declaration", "matrix", "override"]
-    sequence: int
-    sample_s: float
-    value: np.ndarray
+    mode: Mode = Mode.ALLOCATE
+    tuning: CompanionOptions = field(default_factory=CompanionOptions)
+    network: str = "airframe"
+    parts: Parts = FLOWN
 
 
-class Companion:
-    """One vehicle's pipeline with its two channels, and what it did."""
+@dataclass(frozen=True)
+class Workshop:
+    """What all companions of one airframe share: allocations computed ahead, and the card with the scripts."""
 
-    def __init__(self, index: int, pipeline: Pipeline, link_delay_s: float) -> None:
-        self.index, self.pipeline = index, pipeline
+    plans: dict[int, tables.Plan]
+    card: Path
+
+    @staticmethod
+    def prepare(vehicle: Vehicle, method: str, folder: str) -> Workshop:
+        """Compute and install into ``folder``."""
+        card = Path(folder)
+        install(vehicle, card, method=method)
+        return Workshop(tables.compute(vehicle, allocator(method)), card)
+
+
+def temporary_card() -> tempfile.TemporaryDirectory[str]:
+    """A folder for a card; removed when it is no longer used."""
+    return tempfile.TemporaryDirectory(prefix="nff-card-")
+
+
+class AlteredAdapter:
+    """The hand of a test on the samples that an adapter gives."""
+
+    def __init__(self, adapter: Adapter, alter: Alter) -> None:
+        self._adapter, self._alter = adapter, alter
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._adapter, name)
+
+    def observe(self, message: Message, now_s: float) -> Sample | None:
+        """The adapter's sample, altered."""
+        sample = self._adapter.observe(message, now_s)
+        return None if sample is None else self._alter(sample)
+
+
+class _TrialMeeting(Meeting):
+    """Adapters with a test's hand on their samples."""
+
+    alter: Alter | None = None
+
+    def adapter(self, kind: Kind, target: tuple[int, int]) -> Adapter:
+        """A new one."""
+        found = super().adapter(kind, target)
+        return found if self.alter is None else AlteredAdapter(found, self.alter)  # type: ignore[return-value]
+
+
+class TrialCompanion:
+    """One vehicle of the fleet, its link, and its companion; and what that did."""
+
+    def __init__(self, index: int, session: Session, autopilot: WireAutopilot, link_delay_s: float) -> None:
+        self.index, self.session, self.autopilot = index, session, autopilot
         # The delay is for one direction each way, as a serial link has it.
-        self.down: Channel[Sample] = Channel(link_delay_s)
-        self.up: Channel[Command] = Channel(link_delay_s)
-        self.outputs: Output | None = None
+        self.down: Channel[bytes] = Channel(link_delay_s)
+        self.up: Channel[bytes] = Channel(link_delay_s)
+        self._codec = Codec(SYSTEM, COMPANION_COMPONENT)
+        self._now_s = 0.0
         self.events: list[tuple[float, Event]] = []
-        self._sequence = 0
-        self._matrix_sent_s = -np.inf
-        self._declared = np.zeros(pipeline.vehicle.motors, bool)
+
+    @property
+    def output(self) -> Output:
+        """Of the last step."""
+        return self.session.output
+
+    @property
+    def attitude_desired(self) -> np.ndarray | None:
+        """(3, 3) body to NED that the override's law wanted last; None when it does not close the loop."""
+        desired = self.session.state.loop.memory.desired
+        return None if desired is None else np.array(desired).T
+
+    def before(self, now_s: float) -> None:
+        """The autopilot's side before its loops."""
+        for data in self.up.receive(now_s):
+            self.autopilot.take(data)
+        self.autopilot.scripts()
+
+    def after(self, now_s: float) -> None:
+        """The autopilot's telemetry after its loops."""
+        self.autopilot.telemetry()
+        for data in self.autopilot.outgoing():
+            self.down.send(now_s, data)
 
     def think(self, now_s: float) -> None:
-        """Process the samples that have arrived and send what follows from them."""
-        for message in self.down.receive(now_s):
-            output = self.pipeline.step(message, self.pipeline.respond(message))
-            self.outputs = output
-            self.events += [(now_s, event) for event in output.events]
-            if output.mode == Mode.OBSERVE:
-                continue
-            self._sequence += 1
-            changed = bool((output.failed != self._declared).any())
-            if changed:
-                self._declared = output.failed.copy()
-                self.up.send(now_s, Command("declaration", self._sequence, output.time_s, output.failed.copy()))
-            if output.plan is not None and (changed or now_s - self._matrix_sent_s >= MATRIX_INTERVAL_S):
-                self._matrix_sent_s = now_s
-                self.up.send(now_s, Command("matrix", self._sequence, output.time_s, output.plan.matrix))
-            if output.override is not None:
-                self.up.send(now_s, Command("override", self._sequence, output.time_s, output.override))
+        """The companion's turn: what has arrived, and what is due."""
+        self._now_s = now_s
+        for data in self.down.receive(now_s):
+            for message in self._codec.parse(data):
+                self._send(self.session.take(message, 0, now_s))
+        self._send(self.session.due(now_s))
+        self.events += self.session.news()
+
+    def order(self, orders: Orders) -> None:
+        """The operator's word."""
+        self._send(self.session.order(orders, self._now_s))
+
+    def _send(self, outgoing: list[Outgoing]) -> None:
+        for item in outgoing:
+            self.up.send(self._now_s, self._codec.pack(item.message))
 
 
 class VirtualFlight:
@@ -75,80 +150,52 @@ class VirtualFlight:
     def __init__(
         self,
         fleet: Fleet,
-        companions: dict[int, PipelineOptions],
+        companions: dict[int, TrialOptions],
         *,
         airframe: str,
-        thrust_to_weight: float | None,
-        rate_hz: float,
-        link_delay_s: float,
-        make_pipeline: Callable[[vehicle_model.Vehicle, float, PipelineOptions], Pipeline] = Pipeline,
+        thrust_to_weight: float | None = None,
+        rate_hz: float = 200.0,
+        link_delay_s: float = 0.01,
         workshop: Workshop | None = None,
         rotor_speeds: bool = False,
-        alter: Callable[[Sample], Sample] = lambda sample: sample,
+        alter: Alter | None = None,
+        stubborn_hz: float | None = None,
     ) -> None:
-        """``workshop``: the companions meet ArduPilot with our applet on the wire; without it, the emulation itself.
-        ``alter`` is the hand of a test on the telemetry of the latter."""
-        self._alter, self._rotor_speeds = alter, rotor_speeds
+        """``workshop``: the vehicles are ArduPilots with our applet; without it, they speak our dialect. ``alter`` is
+        the hand of a test on the samples."""
         self.fleet = fleet
-        self._every = max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
-        rate = AUTOPILOT_RATE_HZ / self._every
-        self.companions: list[Companion | WireCompanion] = []
+        rate = AUTOPILOT_RATE_HZ / max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
+        self.companions: list[TrialCompanion] = []
         for index, options in companions.items():
-            pipeline = make_pipeline(model, rate, options)
-            self.companions.append(
-                Companion(index, pipeline, link_delay_s)
-                if workshop is None
-                else WireCompanion(index, pipeline, fleet, rate, link_delay_s, workshop, rotor_speeds)
+            meeting = _TrialMeeting(
+                model,
+                "nff" if workshop is None else "ardupilot",
+                options.tuning.allocation,
+                Path("/nonexistent"),
+                instance=index + 1,
+                plans=None if workshop is None else workshop.plans,
             )
-
-    def _sample(self, index: int) -> Sample:
-        return self._alter(sample_of(self.fleet, index, rotor_speeds=self._rotor_speeds))
+            meeting.alter = alter
+            network = basis_network.for_vehicle(model, options.network)
+            companion = Companion(model, rate, options.tuning, network=network, parts=options.parts)
+            session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
+            card = None if workshop is None else workshop.card
+            autopilot = WireAutopilot(fleet, index, card=card, rotor_speeds=rotor_speeds, stubborn_hz=stubborn_hz)
+            self.companions.append(TrialCompanion(index, session, autopilot, link_delay_s))
 
     def step(self) -> None:
         """One autopilot cycle of the fleet, and what the companions do in it."""
         fleet = self.fleet
-        now = fleet.time_s
-        for companion in self.companions:
-            index = companion.index
-            if fleet.state.crashed[index]:
-                continue
-            if isinstance(companion, WireCompanion):
-                companion.autopilot_step()
-                continue
-            for message in companion.up.receive(now):
-                self._deliver(index, message, now)
+        up = [companion for companion in self.companions if not fleet.state.crashed[companion.index]]
+        for companion in up:
+            companion.before(fleet.time_s)
         fleet.step()
-        now = fleet.time_s
-        for companion in self.companions:
-            if fleet.state.crashed[companion.index]:
-                continue
-            if isinstance(companion, WireCompanion):
-                companion.telemetry_step()
-            elif fleet.cycle % self._every == 0:
-                companion.down.send(now, self._sample(companion.index))
+        for companion in up:
+            if not fleet.state.crashed[companion.index]:
+                companion.after(fleet.time_s)
         for companion in self.companions:
             companion.think(fleet.time_s)
-
-    def _deliver(self, index: int, command: Command, now_s: float) -> None:
-        autopilot = self.fleet.autopilot
-        port = autopilot.ports[index]
-        sequence, sample_s, value = command.sequence, command.sample_s, command.value
-        if command.kind == "declaration":
-            armed = bool(autopilot.armed[index])
-            port.receive_declaration(value, sequence=sequence, sample_s=sample_s, now_s=now_s, armed=armed)
-        elif command.kind == "matrix":
-            port.receive_matrix(value, sequence=sequence, sample_s=sample_s, now_s=now_s, timeout_s=MATRIX_TIMEOUT_S)
-        else:
-            port.receive_override(
-                value,
-                sequence=sequence,
-                sample_s=sample_s,
-                now_s=now_s,
-                timeout_s=OVERRIDE_TIMEOUT_S,
-                armed=bool(autopilot.armed[index]),
-            )
-        autopilot.port_changed()
 
 
 def sample_of(fleet: Fleet, index: int, *, rotor_speeds: bool = False) -> Sample:

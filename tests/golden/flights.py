@@ -16,14 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.companion import Companion
+from nff_companion.companion_state import Orders, Output
+from nff_companion.condition import Condition, Mode, Reason, Statement
+from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.sample import Sample
-from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward
-from sitl.trials.virtual import VirtualFlight
 
 FOLDER = Path(__file__).parent
 KEEP_EVERY = 10  # of the steps, in full; of all of them the digest
@@ -94,9 +96,11 @@ def record(flight: Flight) -> list[Sample]:
         ),
         [Fault(vehicle=0, motor=motor, start_s=at) for motor, at in flight.faults],
     )
+    from sitl.trials.virtual import TrialOptions, VirtualFlight
+
     trial = VirtualFlight(
         fleet,
-        {0: PipelineOptions(mode=Mode[flight.mode.upper()])},
+        {0: TrialOptions(mode=Mode[flight.mode.upper()])},
         airframe=flight.airframe,
         thrust_to_weight=None,
         rate_hz=flight.flown_hz,
@@ -152,17 +156,20 @@ def unpack(inputs: dict[str, np.ndarray]) -> list[Sample]:
 def replay(flight: Flight, samples: list[Sample]) -> tuple[list[np.ndarray], list[list[float]]]:
     """One row of outputs a sample, and the events (time, motor, declared, effectiveness, confidence)."""
     model = vehicle_model.load(flight.airframe)
-    pipeline = Pipeline(model, flight.replayed_hz, PipelineOptions(mode=Mode[flight.mode.upper()]))
+    companion = Companion(model, flight.replayed_hz, network=basis_network.for_vehicle(model, "airframe"))
+    state, condition = companion.start(Mode[flight.mode.upper()]), Condition(takes_matrix=True)
     if flight.restart_at_s:
-        pipeline.adopt(np.array([m + 1 in dict(flight.faults) for m in range(model.motors)]))
+        state, _ = companion.step(state, None, condition, Orders(adopt=tuple(motor for motor, _ in flight.faults)))
     rows: list[np.ndarray] = []
     events: list[list[float]] = []
     before = None
     for sample in samples:
         if before is not None and sample.time_s - before > 0.25:
-            pipeline.stream_lost("telemetry stopped")
+            stopped = Statement(Reason.TELEMETRY_STOPPED, "0.25")
+            state, _ = companion.interrupted(state, condition, stopped)
         before = sample.time_s
-        output = pipeline.step(sample, pipeline.respond(sample))
+        state, answer = companion.respond(state, sample, condition)
+        state, output = companion.step(state, sample, condition, override=answer)
         rows.append(row_of(output, model.motors, model.axes))
         events += [[e.time_s, e.motor, e.declared, e.effectiveness, e.confidence] for e in output.events]
     return rows, events

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import dataclass
 
-from nff_companion.autopilots.base import Stream
 from nff_companion.mavlink.codec import Message, dialect
 
 _WINDOW_S = 2.0
 _ENOUGH = 0.8  # of the rate asked for
 _REQUEST_S = 1.0
 _OPTIONAL_TRIES = 5
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A message that the companion asks for, and how often; ``required``: flying without it is said to the pilot."""
+
+    message_id: int
+    rate_hz: float
+    required: bool = True
 
 
 def name_of(message_id: int) -> str:

@@ -5,22 +5,23 @@ Every controller flies the same vehicles (10 % errors of mass, inertia, thrust),
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
-import msgspec
 import numpy as np
 
-from nff_companion.allocation.planner import PlannerOptions
+from nff_companion.companion_state import CompanionOptions, Orders
+from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import DecisionOptions, Event
 from nff_companion.core.estimator import EstimatorOptions
-from nff_companion.laws import LAWS
-from nff_companion.pipeline import Mode, Pipeline, PipelineOptions
+from nff_companion.core.parts import Parts
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
-from sitl.trials.virtual import VirtualFlight
+from sitl.trials.research.laws import LAWS, shaped, unshaped
+from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
 
 AIRFRAME = "paper-octo"
 CONTROLLERS = tuple(LAWS)
@@ -54,21 +55,28 @@ class PaperOptions:
 _UNDECLARED = DecisionOptions(improvement_min=1e9, loss_gradual=2.0)
 
 
-def variants() -> dict[str, PipelineOptions]:
+@dataclass(frozen=True)
+class Variant:
+    """An ablation: what it makes of the parts of a law, other tuning, another network."""
+
+    parts: Callable[[Parts], Parts] = lambda parts: parts
+    estimator: EstimatorOptions = field(default_factory=EstimatorOptions)
+    network: str = "airframe"
+
+
+def variants() -> dict[str, Variant]:
     """Ablations, of every law that has the part at all."""
-    published = PlannerOptions(follow_estimate=True)
     return {
-        "full": PipelineOptions(),
-        "no-phi": PipelineOptions(estimator=EstimatorOptions(network="none")),
-        "lateral-for-all": PipelineOptions(feed_lateral="always"),
-        "lateral-for-none": PipelineOptions(feed_lateral="never"),
-        "published": PipelineOptions(planner=published, estimator=EstimatorOptions(decision=_UNDECLARED)),
-        "published-no-sparsity": PipelineOptions(
-            planner=published, estimator=EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
+        "full": Variant(),
+        "no-phi": Variant(network="none"),
+        "lateral-for-all": Variant(lambda parts: replace(parts, feed_lateral=True)),
+        "lateral-for-none": Variant(lambda parts: replace(parts, feed_lateral=False)),
+        "published": Variant(lambda parts: replace(parts, target=shaped), EstimatorOptions(decision=_UNDECLARED)),
+        "published-no-sparsity": Variant(
+            lambda parts: replace(parts, target=shaped), EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
         ),
-        "published-no-shaping": PipelineOptions(
-            planner=PlannerOptions(follow_estimate=True, shape=False),
-            estimator=EstimatorOptions(decision=_UNDECLARED),
+        "published-no-shaping": Variant(
+            lambda parts: replace(parts, target=unshaped), EstimatorOptions(decision=_UNDECLARED)
         ),
     }
 
@@ -123,7 +131,7 @@ def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
     )
     flight = VirtualFlight(
         fleet,
-        {k: _pipeline_options(options, case.controller) for k, case in enumerate(cases)},
+        {k: trial_options(options, case.controller) for k, case in enumerate(cases)},
         airframe=AIRFRAME,
         thrust_to_weight=None,
         rate_hz=options.rate_hz,
@@ -138,21 +146,24 @@ def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
         _lead(fleet)
         flight.step()
         for k, case in enumerate(cases):
-            pipeline = flight.companions[k].pipeline
+            companion = flight.companions[k]
             if case.controller == "omniscient" and not told[k] and fleet.time_s >= fault_s[k]:
                 told[k] = True
-                pipeline.adopt(np.arange(1, pipeline.vehicle.motors + 1) == case.motor)
+                companion.order(Orders(adopt=(case.motor,)))
             if fleet.cycle % every == 0 and not fleet.state.crashed[k]:
-                recorders[k].add(fleet, k, pipeline)
+                recorders[k].add(fleet, k, companion)
     return [recorder.trace(flight.companions[k].events, every) for k, recorder in enumerate(recorders)]
 
 
-def _pipeline_options(options: PaperOptions, controller: str) -> PipelineOptions:
-    chosen = variants()[options.variant]
-    estimator = chosen.estimator
-    if options.network != "airframe":
-        estimator = msgspec.structs.replace(estimator, network=options.network)
-    return msgspec.structs.replace(chosen, mode=Mode.OVERRIDE, law=controller, estimator=estimator)
+def trial_options(options: PaperOptions, controller: str) -> TrialOptions:
+    """One contender, in the variant chosen."""
+    variant = variants()[options.variant]
+    return TrialOptions(
+        mode=Mode.OVERRIDE,
+        tuning=CompanionOptions(estimator=variant.estimator),
+        network=options.network if options.network != "airframe" else variant.network,
+        parts=variant.parts(LAWS[controller]),
+    )
 
 
 def _lead(fleet: Fleet) -> None:
@@ -180,22 +191,19 @@ class _Recorder:
         self._case, self._fault_s = case, case.fault_s
         self._rows: list[tuple[float, np.ndarray, float, np.ndarray]] = []
 
-    def add(self, fleet: Fleet, index: int, pipeline: Pipeline) -> None:
+    def add(self, fleet: Fleet, index: int, companion: TrialCompanion) -> None:
         """After each step of the companion."""
         time_s = fleet.time_s - self._fault_s
         if not -BEFORE_S <= time_s <= AFTER_S:
             return
-        desired = pipeline.attitude_desired
+        desired = companion.attitude_desired
         error = np.full(3, np.nan)
         if desired is not None:
             # Truth against what the controller asked for.
             body = rotation.to_matrix(fleet.state.quaternion[index])
             error = _rotation_vector(body.T @ desired)
         away = float(np.linalg.norm(fleet.state.position_m[index] - fleet.autopilot.position.path[index]))
-        eta = np.ones(pipeline.vehicle.motors)
-        self._rows.append(
-            (time_s, np.degrees(error), away, eta if pipeline.last is None else pipeline.last.effectiveness)
-        )
+        self._rows.append((time_s, np.degrees(error), away, companion.output.effectiveness))
 
     def trace(self, all_events: list[tuple[float, Event]], every: int) -> Trace:
         """The flight up to AFTER_S; a row comes each ``every`` cycles of the autopilot while the vehicle is up."""

@@ -1,4 +1,4 @@
-"""The pipeline as a pilot needs it: bad input never acts, declarations latch, any airframe."""
+"""The companion as a pilot needs it: bad input never acts, declarations latch, any airframe."""
 
 from __future__ import annotations
 
@@ -7,66 +7,73 @@ import math
 
 import numpy as np
 import pytest
+from stepping import OBEDIENT, Stepped, text_of
 
+from nff_companion import companion as companion_module
+from nff_companion.companion_state import Orders, Output
+from nff_companion.condition import Condition, Mode, Reason, Statement
 from nff_companion.core import vehicle
 from nff_companion.core.sample import Sample
 from nff_companion.errors import SolverError
-from nff_companion.pipeline import Mode, Output, Pipeline, PipelineOptions
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
-from sitl.trials.virtual import VirtualFlight
+from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 RATE = 200.0
 
 
 def flight(
-    name: str, faults: list[Fault], *, mode: Mode = Mode.ALLOCATE, wind: float = 3.0, seed: int = 1, error: float = 0.05
+    name: str,
+    faults: list[Fault],
+    *,
+    mode: Mode = Mode.ALLOCATE,
+    wind: float = 3.0,
+    seed: int = 1,
+    error: float = 0.05,
+    alter=None,
 ) -> VirtualFlight:
     nominal = plant_airframe.load(vehicle.path_of(name))
     options = FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=wind, turbulence_m_s=0.25 * wind, model_error=error)
     return VirtualFlight(
         Fleet(nominal, options, faults),
-        {0: PipelineOptions(mode=mode)},
+        {0: TrialOptions(mode=mode)},
         airframe=name,
         thrust_to_weight=None,
         rate_hz=RATE,
         link_delay_s=0.01,
+        alter=alter,
     )
 
 
 def fly(trial: VirtualFlight, seconds: float) -> Output:
     for _ in range(int(400 * seconds)):
         trial.step()
-    assert trial.companions[0].outputs is not None
-    return trial.companions[0].outputs
+    return trial.companions[0].output
 
 
 @pytest.fixture(scope="module")
 def recorded() -> list[Sample]:
     """6 s of healthy hover as samples; copied by whoever changes them."""
-    trial = flight("octo-x", [], mode=Mode.OBSERVE)
     samples: list[Sample] = []
-    step = trial.companions[0].pipeline.step
 
-    def record(sample: Sample, override: np.ndarray | None = None) -> Output:
-        samples.append(dataclasses.replace(sample, gyro_rad_s=sample.gyro_rad_s.copy()))
-        return step(sample, override)
+    def record(sample: Sample) -> Sample:
+        samples.append(sample)
+        return sample
 
-    trial.companions[0].pipeline.step = record  # type: ignore[method-assign]
-    fly(trial, 6.0)
+    fly(flight("octo-x", [], mode=Mode.OBSERVE, alter=record), 6.0)
     return samples
 
 
-def run(samples: list[Sample], mode: Mode = Mode.ALLOCATE) -> tuple[Pipeline, list[Output]]:
-    pipeline = Pipeline(vehicle.load("octo-x"), RATE, PipelineOptions(mode=mode))
-    return pipeline, [pipeline.step(s, pipeline.respond(s)) for s in samples]
+def run(samples: list[Sample], mode: Mode = Mode.ALLOCATE) -> tuple[Stepped, list[Output]]:
+    companion = Stepped(mode=mode)
+    return companion, companion.steps(samples)
 
 
 def test_a_healthy_hover_sends_nothing(recorded: list[Sample]) -> None:
     _, outputs = run(recorded)
     assert outputs[-1].mode == Mode.ALLOCATE
-    assert outputs[-1].reason == "all motors healthy"
+    assert outputs[-1].obstacle is None
     assert all(o.plan is None and not o.events for o in outputs)
     assert outputs[-1].effectiveness.min() > 0.9
 
@@ -84,25 +91,25 @@ def test_a_healthy_hover_sends_nothing(recorded: list[Sample]) -> None:
     ],
 )
 def test_bad_input_degrades_to_observe_with_a_reason(recorded: list[Sample], change: dict, word: str) -> None:
-    pipeline, _ = run(recorded[:800])
-    output = pipeline.step(dataclasses.replace(recorded[800], **change))
+    companion, _ = run(recorded[:800])
+    output = companion.step(dataclasses.replace(recorded[800], **change))
     assert output.mode == Mode.OBSERVE
-    assert word in output.reason
+    assert word in text_of(output)
     assert output.plan is None
     assert output.override is None
-    assert pipeline.bad_samples >= 1
+    assert companion.state.bad_samples >= 1
 
 
 def test_after_bad_input_good_samples_bring_it_back(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:800])
-    pipeline.step(dataclasses.replace(recorded[800], gyro_rad_s=np.full(3, np.nan)))
-    modes = [pipeline.step(s).mode for s in recorded[801:]]
+    companion, _ = run(recorded[:800])
+    companion.step(dataclasses.replace(recorded[800], gyro_rad_s=np.full(3, np.nan)))
+    modes = [companion.step(s).mode for s in recorded[801:]]
     assert modes[0] == Mode.OBSERVE, "one good sample is not enough"
     assert modes[-1] == Mode.ALLOCATE
 
 
 def test_override_answers_nothing_to_a_bad_sample(recorded: list[Sample]) -> None:
-    pipeline, outputs = run(recorded[:900], Mode.OVERRIDE)
+    companion, outputs = run(recorded[:900], Mode.OVERRIDE)
     assert outputs[-1].override is not None
     assert np.all((outputs[-1].override >= 0) & (outputs[-1].override <= 1))
     for change in (
@@ -112,13 +119,14 @@ def test_override_answers_nothing_to_a_bad_sample(recorded: list[Sample]) -> Non
         {"gyro_rad_s": np.full(3, np.nan)},
         {"time_s": recorded[900].time_s + 5.0},
     ):
-        assert pipeline.respond(dataclasses.replace(recorded[900], **change)) is None, change
+        assert companion.respond(dataclasses.replace(recorded[900], **change)) is None, change
 
 
 def test_silence_is_an_observe_with_its_reason(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded)
-    output = pipeline.stream_lost("telemetry stopped for 0.30 s")
-    assert (output.mode, output.reason) == (Mode.OBSERVE, "telemetry stopped for 0.30 s")
+    companion, _ = run(recorded)
+    output = companion.interrupted()
+    assert (output.mode, text_of(output)) == (Mode.OBSERVE, "telemetry stopped for 0.30 s")
+    assert output.time_s == recorded[-1].time_s, "what is sent now is stamped with the last sample, never with 0"
 
 
 def test_on_the_ground_nothing_is_estimated(recorded: list[Sample]) -> None:
@@ -131,14 +139,14 @@ def test_a_declaration_latches_while_the_motor_stands_still_and_the_operator_lif
     trial = flight("octo-x", [Fault(vehicle=0, motor=4, start_s=4.0)])
     assert fly(trial, 12.0).failed.tolist() == [False] * 3 + [True] + [False] * 4
     assert trial.fleet.autopilot.output[0, 3] == 0.0, "the declared motor is stopped"
-    trial.companions[0].pipeline.lift(4)
-    assert not trial.companions[0].pipeline._failed.any()
+    trial.companions[0].order(Orders(lift=(4,)))
+    assert not trial.companions[0].output.failed.any()
 
 
 def test_a_wrong_declaration_is_lifted_by_evidence_while_the_motor_is_driven() -> None:
     trial = flight("octo-x", [], mode=Mode.OBSERVE)  # the autopilot goes on driving every motor
     fly(trial, 4.0)
-    trial.companions[0].pipeline.adopt(np.eye(8, dtype=bool)[1])
+    trial.companions[0].order(Orders(adopt=(2,)))
     output = fly(trial, 4.0)
     assert not output.failed.any()
     assert [(e.motor, e.declared) for _, e in trial.companions[0].events] == [(2, False)]
@@ -165,7 +173,7 @@ def test_other_faults_name_no_healthy_motor(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["hexa-x", "octo-plus", "coax-x8", "paper-octo"])
-def test_other_airframes_go_through_the_whole_pipeline(name: str) -> None:
+def test_other_airframes_go_through_the_whole_companion(name: str) -> None:
     motors = vehicle.load(name).motors
     for motor in (1, motors):
         trial = flight(name, [Fault(vehicle=0, motor=motor, start_s=4.0)], wind=2.0)
@@ -184,98 +192,99 @@ def test_a_flight_in_override_survives_a_failure_and_never_falls_back() -> None:
         if cycle > 400 * 3.0:
             assert trial.fleet.autopilot.allocation[0] == 3, "outputs of the companion are in force"
             worst = max(worst, float(np.linalg.norm(trial.fleet.state.position_m[0] - [0, 0, -10.0])))
-    assert trial.companions[0].outputs is not None
-    assert trial.companions[0].outputs.failed.tolist() == [False] * 4 + [True] + [False] * 3
+    assert trial.companions[0].output.failed.tolist() == [False] * 4 + [True] + [False] * 3
     assert not trial.fleet.state.crashed[0]
     assert worst < 3.0
 
 
 def test_duplicates_and_late_samples_are_ignored_without_forgetting(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:900])
+    companion, _ = run(recorded[:900])
     for sample in (recorded[899], recorded[897], recorded[899]):
-        output = pipeline.step(sample)
-        assert (output.mode, output.events) == (Mode.ALLOCATE, [])
-    assert pipeline.step(recorded[900]).mode == Mode.ALLOCATE
-    assert pipeline.bad_samples == 3
+        output = companion.step(sample)
+        assert (output.mode, output.events) == (Mode.ALLOCATE, ())
+        assert companion.respond(sample) is None
+    assert companion.step(recorded[900]).mode == Mode.ALLOCATE
+    assert companion.state.bad_samples == 3
 
 
 def test_a_spike_no_vehicle_survives_is_refused_and_names_no_motor(recorded: list[Sample]) -> None:
     for axis in range(3):
-        pipeline, _ = run(recorded[:700])
+        companion, _ = run(recorded[:700])
         spike = np.zeros(3)
         spike[axis] = 1e6
-        output = pipeline.step(dataclasses.replace(recorded[700], gyro_rad_s=spike))
-        assert "beyond" in output.reason
-        assert not any(pipeline.step(s).failed.any() for s in recorded[701:])
+        output = companion.step(dataclasses.replace(recorded[700], gyro_rad_s=spike))
+        assert "beyond" in text_of(output)
+        assert not any(companion.step(s).failed.any() for s in recorded[701:])
 
 
 def test_a_shock_in_the_air_does_not_end_the_watch(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:800])
+    companion, _ = run(recorded[:800])
     shock = np.array([0.0, 0.0, -90.0])
     for sample in recorded[800:802]:
-        pipeline.step(dataclasses.replace(sample, specific_force_m_s2=shock))
-    outputs = [pipeline.step(s) for s in recorded[802:]]
+        companion.step(dataclasses.replace(sample, specific_force_m_s2=shock))
+    outputs = [companion.step(s) for s in recorded[802:]]
     assert outputs[-1].flying
     assert not outputs[-1].failed.any()
 
 
 def test_override_falls_back_to_allocation_when_it_is_blind(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
+    companion, _ = run(recorded[:900], Mode.OVERRIDE)
     blind = dataclasses.replace(recorded[900], position_m=None)
-    output = pipeline.step(blind, pipeline.respond(blind))
+    output = companion.step(blind)
     assert output.mode == Mode.ALLOCATE
-    assert "allocating instead" in output.reason
+    assert "allocating instead" in text_of(output)
     sample = recorded[901]
-    output = pipeline.step(sample, pipeline.respond(sample))
-    assert (output.mode, output.reason) == (Mode.OVERRIDE, "all motors healthy")
+    output = companion.step(sample)
+    assert (output.mode, output.obstacle) == (Mode.OVERRIDE, None)
 
 
 def test_override_holds_the_last_target_when_targets_stop(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:600], Mode.OVERRIDE)
+    companion, _ = run(recorded[:600], Mode.OVERRIDE)
     far = np.array([40.0, -20.0, -30.0])
     for sample in recorded[600:700]:
         moved = dataclasses.replace(sample, position_m=far, target_position_m=far, target_yaw_rad=math.nan)
-        pipeline.step(moved, pipeline.respond(moved))
+        companion.step(moved)
     stopped = dataclasses.replace(recorded[700], position_m=far, velocity_m_s=np.zeros(3), target_position_m=None)
-    answer = pipeline.respond(stopped)
+    answer = companion.respond(stopped)
     assert answer is not None
-    assert pipeline._loop._hold is not None
-    np.testing.assert_allclose(pipeline._loop._hold.position_m, far)
+    assert companion.state.loop.hold is not None
+    np.testing.assert_allclose(companion.state.loop.hold.position_m, far)
 
 
 def test_override_keeps_its_hands_off_where_it_is_told_to(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
-    pipeline.hands_off = "the pilot flies"
-    sample = recorded[900]
-    assert pipeline.respond(sample) is None
-    output = pipeline.step(sample, None)
-    assert (output.mode, output.reason) == (Mode.ALLOCATE, "the pilot flies")
-    pipeline.hands_off = ""
-    assert pipeline.respond(recorded[901]) is not None
+    companion, _ = run(recorded[:900], Mode.OVERRIDE)
+    guided = Statement(Reason.NOT_GUIDED)
+    companion.condition = Condition(takes_matrix=True, drive=guided)
+    output = companion.step(recorded[900])
+    assert (output.mode, output.obstacle, output.override) == (Mode.ALLOCATE, guided, None)
+    companion.condition = OBEDIENT
+    assert companion.respond(recorded[901]) is not None
 
 
 def test_a_blocked_autopilot_gets_nothing_and_the_reason_is_shown(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:900])
-    pipeline.blocked = "the autopilot does not answer"
-    output = pipeline.step(recorded[900])
-    assert (output.mode, output.reason, output.plan) == (Mode.OBSERVE, "the autopilot does not answer", None)
+    companion, _ = run(recorded[:900])
+    silent = Statement(Reason.SILENT, "the applet")
+    companion.condition = Condition(takes_matrix=True, command=silent)
+    output = companion.step(recorded[900])
+    assert (output.mode, output.obstacle, output.plan) == (Mode.OBSERVE, silent, None)
 
 
-def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:700])
-    solve, calls = pipeline._planner._allocate, []
+def test_a_refused_plan_is_tried_again(recorded: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
+    solve, calls = companion_module.allocator("trim"), []
 
     def flaky(problem):
         calls.append(problem)
-        if len(calls) <= 2:
+        if 1 < len(calls) <= 3:  # the first is that of the healthy vehicle
             raise SolverError("out of luck")
         return solve(problem)
 
-    pipeline._planner._allocate = flaky
-    pipeline.adopt(np.eye(8, dtype=bool)[5])
-    outputs = [pipeline.step(s) for s in recorded[700:800]]
-    assert outputs[0].rejected == 1
-    assert "out of luck" in outputs[0].reason
+    monkeypatch.setattr(companion_module, "allocator", lambda _: flaky)
+    companion = Stepped()
+    companion.steps(recorded[:700])
+    first = companion.step(recorded[700], Orders(adopt=(6,)))
+    outputs = companion.steps(recorded[701:800])
+    assert first.rejected == 1
+    assert "out of luck" in text_of(first)
     assert outputs[-1].plan is not None
 
 
@@ -291,17 +300,17 @@ def test_a_refused_plan_is_tried_again(recorded: list[Sample]) -> None:
     ids=["huge-velocity", "nan-velocity", "huge-attitude", "no-attitude", "infinite-attitude"],
 )
 def test_a_garbage_state_reaches_neither_the_network_nor_a_motor(recorded: list[Sample], garbage: dict) -> None:
-    pipeline, _ = run(recorded[:900], Mode.OVERRIDE)
-    assert pipeline.network is not None
+    companion, _ = run(recorded[:900], Mode.OVERRIDE)
+    assert companion.companion.network is not None
     with np.errstate(all="raise"):
         for sample in recorded[900:920]:
             bad = dataclasses.replace(sample, **garbage)
-            answer = pipeline.respond(bad)
+            answer = companion.respond(bad)
             assert answer is None
-            output = pipeline.step(bad, answer)
+            output = companion.step(bad)
             assert output.mode == Mode.ALLOCATE
-            assert "not those of a vehicle" in output.reason
-    outputs = [pipeline.step(s, pipeline.respond(s)) for s in recorded[920:1000]]
+            assert "not those of a vehicle" in text_of(output)
+    outputs = [companion.step(s) for s in recorded[920:1000]]
     assert outputs[-1].mode == Mode.OVERRIDE
     assert outputs[-1].estimate is not None
     assert np.isfinite(outputs[-1].estimate.disturbance).all()
@@ -309,17 +318,26 @@ def test_a_garbage_state_reaches_neither_the_network_nor_a_motor(recorded: list[
 
 
 def test_a_residual_that_is_not_finite_starts_the_estimate_anew(recorded: list[Sample]) -> None:
-    pipeline, _ = run(recorded[:900])
-    assert pipeline._state is not None
-    pipeline._state.disturbance.adaptation.a[:] = math.nan
-    output = pipeline.step(recorded[900])
+    companion, _ = run(recorded[:900])
+    assert companion.state.estimate is not None
+    companion.state.estimate.disturbance.adaptation.a[:] = math.nan
+    output = companion.step(recorded[900])
     assert output.mode == Mode.OBSERVE
-    assert "not finite" in output.reason
-    outputs = [pipeline.step(s) for s in recorded[901:1100]]
-    assert outputs[-1].reason == "all motors healthy"
+    assert "not finite" in text_of(output)
+    outputs = [companion.step(s) for s in recorded[901:1100]]
+    assert outputs[-1].obstacle is None
 
 
-def test_a_law_that_watches_no_motor_says_so(recorded: list[Sample]) -> None:
-    pipeline = Pipeline(vehicle.load("octo-x"), RATE, PipelineOptions(law="nf"))
-    outputs = [pipeline.step(s) for s in recorded[:900]]
-    assert outputs[-1].reason == "law nf: no motor is watched"
+def test_what_leaves_a_step_cannot_be_changed_and_does_not_change(recorded: list[Sample]) -> None:
+    companion, outputs = run(recorded[:300])
+    outputs.append(companion.step(recorded[300], Orders(adopt=(2,))))
+    kept = [(o.failed.copy(), o.effectiveness.copy(), o.deviation.copy()) for o in outputs]
+    outputs += companion.steps(recorded[301:400])
+    outputs.append(companion.step(None, Orders(lift=(2,))))
+    for output, (failed, effectiveness, deviation) in zip(outputs, kept, strict=False):
+        np.testing.assert_array_equal(output.failed, failed)
+        np.testing.assert_array_equal(output.effectiveness, effectiveness)
+        np.testing.assert_array_equal(output.deviation, deviation)
+        for array in (output.failed, output.effectiveness, output.deviation, output.degraded, output.believed):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1

@@ -19,7 +19,6 @@ from nff_companion.core.estimator import Estimate, Motion
 from nff_companion.core.residual import ResidualFilter, ResidualState
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import MissingExtra
-from nff_companion.pipeline import Pipeline, PipelineOptions
 
 _PROBABILITY = 0.95
 _CONFIRM_S = 0.01
@@ -142,10 +141,3 @@ class ImmEstimator:
             best=None,
             events=events,
         )
-
-
-def imm_pipeline(vehicle: Vehicle, rate_hz: float, options: PipelineOptions) -> Pipeline:
-    """A pipeline that is ours but for the estimator."""
-    pipeline = Pipeline(vehicle, rate_hz, options)
-    pipeline.estimator = ImmEstimator(vehicle, 1.0 / rate_hz)  # type: ignore[assignment]
-    return pipeline

@@ -11,34 +11,41 @@ K, its integrals among it, is the same for all. Where ours differ from the publi
 
 - eff searches for failures in y less a constant phi a, which is not fed forward. Without it a steady wind is a loss.
 - y covers thrust and torques. The lateral force, which no motor can give, is not learnt but measured, and fed forward
-  by the laws that learn (``PipelineOptions.feed_lateral``; flown both ways in docs/learning.md).
+  by the laws that learn (``Parts.feed_lateral``; flown both ways in docs/learning.md).
 - The right inverse is the pseudo-inverse for b, whose Bhat changes at every sample; for eff, nff and omniscient it is
   the allocation that flies. nf and omniscient look for no motor, so that their phi a may explain any size of residual.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import replace
 
-LawName = Literal["baseline", "nf", "b", "eff", "nff", "omniscient"]
-LateralFeed = Literal["learning", "always", "never"]  # by the laws that learn; by all; by none
+import numpy as np
 
+from nff_companion.core import sparse
+from nff_companion.core.estimator import Estimate
+from nff_companion.core.parts import FLOWN, Parts
+from sitl.trials.research.adapted import AdaptedMatrix
 
-@dataclass(frozen=True, slots=True)
-class Law:
-    """Parts at work."""
+_NOTHING = Parts(name="baseline", identify=False, learn=False, feed_lateral=False)
 
-    identify: bool = False  # motors are found and allocated around
-    learn: bool = False  # phi a is learnt by the network's basis, subtracted from y, and fed forward
-    full_matrix: bool = False  # Bhat is learnt
-
-
-LAWS: dict[str, Law] = {
-    "baseline": Law(),
-    "nf": Law(learn=True),
-    "b": Law(full_matrix=True),
-    "eff": Law(identify=True),
-    "nff": Law(identify=True, learn=True),
-    "omniscient": Law(learn=True),
+LAWS: dict[str, Parts] = {
+    "baseline": _NOTHING,
+    "nf": replace(_NOTHING, name="nf", learn=True, feed_lateral=True),
+    "b": replace(_NOTHING, name="b", adapt=AdaptedMatrix),
+    "eff": replace(_NOTHING, name="eff", identify=True),
+    "nff": FLOWN,
+    "omniscient": replace(_NOTHING, name="omniscient", learn=True, feed_lateral=True),
 }
+
+_FULL_AT, _NONE_BELOW = 0.75, 0.30  # zeta and xi of the paper's figures
+
+
+def shaped(estimate: Estimate) -> np.ndarray:
+    """The published way: allocate for the estimate itself (m,), shaped by (24); nothing is declared."""
+    return sparse.shape(np.clip(estimate.effectiveness, 0.0, 1.0), _FULL_AT, _NONE_BELOW)
+
+
+def unshaped(estimate: Estimate) -> np.ndarray:
+    """The same without the shaping."""
+    return np.clip(estimate.effectiveness, 0.0, 1.0)

@@ -1,0 +1,370 @@
+"""One step of the companion: sample, condition and orders in; what is believed and what should be in force out.
+
+Knows no socket and no clock: time is the autopilot's, in the samples. The same code runs in flight, on logs and in
+virtual time. ``step`` is the only owner of what is believed; states are passed in and returned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from nff_companion.admission import again, follows, refusal
+from nff_companion.allocation import allocator
+from nff_companion.allocation.planner import Planner
+from nff_companion.companion_state import NO_ORDERS, CompanionOptions, CompanionState, Orders, Output
+from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
+from nff_companion.control.law import Knowledge
+from nff_companion.control.override import OverrideLoop, OverrideState
+from nff_companion.core.basis_network import Basis
+from nff_companion.core.estimator import Estimate, Estimator, EstimatorState, Motion
+from nff_companion.core.flight_phase import FlightPhase
+from nff_companion.core.parts import FLOWN, Parts
+from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import TelemetryTable, Vehicle
+from nff_companion.errors import SolverError
+
+
+class Companion:
+    """Constants of one vehicle at one sample rate."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        rate_hz: float,
+        options: CompanionOptions | None = None,
+        *,
+        network: Basis | None = None,
+        parts: Parts = FLOWN,
+    ) -> None:
+        """``network`` None: a constant basis. Raises ConfigError for an unknown allocation method."""
+        self.vehicle, self.rate_hz, self.network, self.parts = vehicle, rate_hz, network, parts
+        self.options = o = options or CompanionOptions()
+        self._dt_s = 1.0 / rate_hz
+        estimator = msgspec.structs.replace(o.estimator, identify=parts.identify, joint=parts.joint)
+        self._estimator = (
+            Estimator(vehicle, self._dt_s, estimator, network if parts.learn else None)
+            if parts.estimator is None
+            else parts.estimator(vehicle, self._dt_s)
+        )
+        self._phase = FlightPhase(vehicle, o.flight_phase)
+        self._planner = Planner(vehicle, allocator(o.allocation), o.planner, parts.target)
+        self._loop = OverrideLoop(vehicle)
+        self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
+        self._speeds = RotorSpeedWatch(vehicle.motors)
+        self._nothing = Knowledge.none(vehicle.axes)
+        self._none = read_only(np.zeros(vehicle.axes))
+        self._ones = read_only(np.ones(vehicle.motors))
+
+    def rebuilt(
+        self,
+        *,
+        rate_hz: float | None = None,
+        telemetry: TelemetryTable | None = None,
+        options: CompanionOptions | None = None,
+    ) -> Companion:
+        """The same companion for another sample rate, other filters of the autopilot, or other tuning: between flights
+        (``CompanionState.watching`` False) the state goes on with it."""
+        vehicle = self.vehicle if telemetry is None else self.vehicle.with_telemetry(telemetry)
+        return Companion(
+            vehicle, rate_hz or self.rate_hz, options or self.options, network=self.network, parts=self.parts
+        )
+
+    def start(self, mode: Mode) -> CompanionState:
+        """Nothing heard, nothing declared."""
+        m = self.vehicle.motors
+        failed, none = read_only(np.zeros(m, bool)), read_only(np.zeros(m, bool))
+        output = Output(
+            time_s=0.0,
+            mode=Mode.OBSERVE,
+            obstacle=Statement(Reason.WAITING),
+            flying=False,
+            failed=failed,
+            effectiveness=self._ones,
+            deviation=self._ones,
+            degraded=none,
+            events=(),
+            plan=None,
+            override=None,
+            estimate=None,
+            unallocated=self._none,
+            rejected=0,
+            bad_samples=0,
+        )
+        return CompanionState(
+            mode=mode,
+            failed=failed,
+            last=output,
+            planning=self._planner.start(),
+            speeds=RotorSpeedState.start(m),
+            knowledge=self._nothing,
+            adapted=None if self._adaptation is None else self._adaptation.start(),
+        )
+
+    # -- the step -----------------------------------------------------------------------------------------------
+
+    def respond(
+        self, state: CompanionState, sample: Sample, condition: Condition
+    ) -> tuple[CompanionState, np.ndarray | None]:
+        """Motor outputs (m,) that answer ``sample`` in override mode, None in every other.
+
+        To be called before ``step`` with the same sample: the answer rests on what was believed up to the sample
+        before (u_k on g(x, u_(k-1)), equation (6.7)), so that no estimation stands between a sample and its outputs.
+        """
+        if self._acting(state, condition) != Mode.OVERRIDE or state.estimate is None:
+            return state, None
+        gap = _gap(state, sample)
+        if gap is None or not self._follows(gap) or refusal(sample, self.vehicle.motors) is not None:
+            return state, None
+        if condition.drive is not None:
+            return replace(state, blind=condition.drive, loop=OverrideState()), None
+        plan = state.planning.plan or self._planner.healthy
+        if plan is None:
+            return replace(state, blind=Statement(Reason.NO_HEALTHY_MATRIX)), None
+        matrix, adapted = plan.matrix, state.adapted
+        if self._adaptation is not None:
+            adapted, matrix = self._adaptation.allocation(adapted, matrix)
+        left = None if state.planning.plan is None else plan.effectiveness
+        loop, answer = self._loop.answer(state.loop, sample, matrix, left, state.knowledge, gap)
+        if isinstance(answer, Statement):
+            return replace(state, loop=loop, adapted=adapted, blind=answer), None
+        outputs = self.vehicle.output_for(answer)
+        outputs[state.failed] = 0.0
+        outputs.flags.writeable = False
+        return replace(state, loop=loop, adapted=adapted, blind=None), outputs
+
+    def step(
+        self,
+        state: CompanionState,
+        sample: Sample | None,
+        condition: Condition,
+        orders: Orders = NO_ORDERS,
+        override: np.ndarray | None = None,
+    ) -> tuple[CompanionState, Output]:
+        """One sample; None: telemetry does not come, and the orders are taken all the same. ``override``: what
+        ``respond`` answered to the sample. Never raises on bad input."""
+        if orders is not NO_ORDERS:
+            state = self._obeyed(state, orders)
+        if sample is None:
+            return self._said(state, condition)
+        refused = refusal(sample, self.vehicle.motors)
+        if refused is not None:
+            return self._bad(state, condition, refused)
+        gap = _gap(state, sample)
+        if gap is not None and again(gap, self._dt_s):
+            state = replace(state, bad_samples=state.bad_samples + 1)
+            return state, replace(state.last, events=(), override=None, bad_samples=state.bad_samples)
+        if gap is not None and not self._follows(gap):
+            jump = Statement(Reason.TIME_JUMP, f"{gap:+.3f}")
+            return self._bad(self._interrupted(state), condition, jump, sample.time_s)
+        return self._flown(state, sample, condition, gap, override)
+
+    def interrupted(self, state: CompanionState, condition: Condition, why: Statement) -> tuple[CompanionState, Output]:
+        """Telemetry stopped: what was being estimated is dropped, what was declared stays; the mode is observe."""
+        return self._bad(self._interrupted(state), condition, why)
+
+    def speed_faults(self, state: CompanionState) -> list[int]:
+        """Motors (from 1) whose speed reads zero while they pull: a fault of the speed sensor."""
+        return [int(i) + 1 for i in np.flatnonzero(self._speeds.faults(state.speeds, state.failed))]
+
+    def _follows(self, gap_s: float) -> bool:
+        return follows(gap_s, self._dt_s, self.options.gap_max_s)
+
+    # -- parts of it --------------------------------------------------------------------------------------------
+
+    def _obeyed(self, state: CompanionState, orders: Orders) -> CompanionState:
+        """The operator's orders, and what a restart takes over: the only place where they are applied."""
+        failed = state.failed
+        if orders.lift or orders.adopt:
+            failed = np.array(failed)
+            failed[[motor - 1 for motor in orders.adopt]] = True
+            failed[[motor - 1 for motor in orders.lift]] = False
+            failed.flags.writeable = False
+        if orders.mode is None:
+            return replace(state, failed=failed)
+        return replace(state, failed=failed, mode=orders.mode, loop=OverrideState(), blind=None)
+
+    def _flown(
+        self,
+        state: CompanionState,
+        sample: Sample,
+        condition: Condition,
+        gap: float | None,
+        override: np.ndarray | None,
+    ) -> tuple[CompanionState, Output]:
+        """A good sample: on the ground nothing is estimated, in flight everything is."""
+        time_s = sample.time_s
+        command = sample.thrust if sample.thrust is not None else self.vehicle.thrust_fraction(sample.output)
+        phase = self._phase.step(state.phase, sample, command)
+        good_since = time_s if state.good_since_s is None else state.good_since_s
+        state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since)
+        if not phase.flying or gap is None:
+            if phase.landed_and_disarmed:
+                state = self._forgotten(state)
+            why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
+            return self._said(replace(state, estimate=None, loop=OverrideState(), trouble=why), condition, time_s)
+        try:
+            estimating, estimate = self._estimated(state, sample, command, gap)
+        except (SolverError, np.linalg.LinAlgError) as error:
+            why = Statement(Reason.ESTIMATOR, str(error))
+            return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
+        recovered = time_s - good_since >= self.options.recover_s
+        failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
+        adapted = state.adapted
+        if self._adaptation is not None:
+            adapted = self._adaptation.step(adapted, estimate, gap)
+        state = replace(
+            state,
+            estimate=estimating,
+            failed=failed,
+            planning=self._planner.step(state.planning, time_s, estimate),
+            knowledge=self._known(estimate),
+            adapted=adapted,
+            trouble=None if recovered else Statement(Reason.RECOVERING),
+            fault=state.fault and not recovered,
+        )
+        return self._said(state, condition, time_s, estimate, override)
+
+    def _estimated(
+        self, state: CompanionState, sample: Sample, command: np.ndarray, gap_s: float
+    ) -> tuple[EstimatorState, Estimate]:
+        """Raises SolverError, LinAlgError."""
+        before = state.estimate
+        gyro, force = sample.gyro_rad_s, sample.specific_force_m_s2
+        if before is None:
+            before = self._estimator.start(sample.time_s, gyro, force, command, state.failed)
+        elif before.decision.failed is not state.failed:
+            before = replace(before, decision=replace(before.decision, failed=state.failed))
+        plan = state.planning.plan or self._planner.healthy
+        return self._estimator.step(
+            before,
+            sample.time_s,
+            gyro,
+            force,
+            command,
+            gap_s,
+            self._stopped(state, sample, command),
+            _motion(sample),
+            plan.norm if plan is not None else 0.0,
+        )
+
+    def _known(self, estimate: Estimate) -> Knowledge:
+        """What is fed forward."""
+        parts, nothing = self.parts, self._nothing
+        return Knowledge(
+            estimate.disturbance if parts.learn else nothing.residual,
+            estimate.push if parts.feed_lateral else nothing.push_m_s2,
+        )
+
+    def _stopped(self, state: CompanionState, sample: Sample, command: np.ndarray) -> np.ndarray | None:
+        """(m,) bool: motors that stand still by their rotor speeds; None where no speeds come."""
+        speed, read = sample.rotor_speed_rad_s, sample.rotor_speed_time_s
+        if speed is None or read is None or speed.shape != command.shape or read.shape != command.shape:
+            return None
+        return self._speeds.step(state.speeds, sample.time_s, speed, read, command)
+
+    def _interrupted(self, state: CompanionState) -> CompanionState:
+        """The estimate starts anew; what was declared, and the plan for it, stay."""
+        return replace(
+            state,
+            estimate=None,
+            loop=OverrideState(),
+            last_s=None,
+            speeds=RotorSpeedState.start(self.vehicle.motors),
+            planning=self._planner.interrupted(state.planning),
+            adapted=None if self._adaptation is None else self._adaptation.start(),
+        )
+
+    def _forgotten(self, state: CompanionState) -> CompanionState:
+        """After landing and disarming the next flight starts without declarations."""
+        return replace(
+            state,
+            failed=read_only(np.zeros(self.vehicle.motors, bool)),
+            planning=self._planner.forgotten(state.planning),
+            adapted=None if self._adaptation is None else self._adaptation.start(),
+        )
+
+    # -- result -------------------------------------------------------------------------------------------------
+
+    def _bad(
+        self, state: CompanionState, condition: Condition, why: Statement, time_s: float | None = None
+    ) -> tuple[CompanionState, Output]:
+        state = replace(state, bad_samples=state.bad_samples + 1, good_since_s=None, trouble=why)
+        return self._said(state, condition, time_s)
+
+    @staticmethod
+    def _acting(state: CompanionState, condition: Condition) -> Mode:
+        """The mode that nothing stands in the way of."""
+        if state.trouble is not None or condition.command is not None:
+            return Mode.OBSERVE
+        return Mode.OBSERVE if state.mode == Mode.ALLOCATE and condition.allocate is not None else state.mode
+
+    def _said(
+        self,
+        state: CompanionState,
+        condition: Condition,
+        time_s: float | None = None,
+        estimate: Estimate | None = None,
+        override: np.ndarray | None = None,
+    ) -> tuple[CompanionState, Output]:
+        """The output; without a sample it bears the time of the last one."""
+        mode, planning, failed = self._acting(state, condition), state.planning, state.failed
+        if mode == Mode.OVERRIDE and override is None:
+            mode = Mode.ALLOCATE
+        if estimate is not None:
+            effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
+        else:
+            effectiveness, deviation = self._ones, self._ones
+            if failed.any():
+                effectiveness = read_only(np.where(failed, 0.0, 1.0))
+        output = Output(
+            time_s=state.last.time_s if time_s is None else time_s,
+            mode=mode,
+            obstacle=self._obstacle(state, condition, mode),
+            flying=estimate is not None,
+            failed=failed,
+            effectiveness=effectiveness,
+            deviation=deviation,
+            degraded=_shut(planning.degraded & ~failed),
+            events=() if estimate is None else tuple(estimate.events),
+            plan=planning.plan if mode != Mode.OBSERVE else None,
+            override=override if mode == Mode.OVERRIDE else None,
+            estimate=estimate,
+            unallocated=self._none if planning.plan is None else planning.plan.unallocated,
+            rejected=planning.rejected,
+            bad_samples=state.bad_samples,
+        )
+        return replace(state, last=output), output
+
+    @staticmethod
+    def _obstacle(state: CompanionState, condition: Condition, mode: Mode) -> Statement | None:
+        """Why the mode in effect is not the one asked for, or why there is no matrix for what was decided."""
+        allocate = condition.allocate if state.mode == Mode.ALLOCATE else None
+        none = state.planning.refusal
+        no_plan = None
+        if none is not None:
+            no_plan = Statement(Reason.NO_PLAN, none.reason) if none.lift else Statement(Reason.NO_LIFT)
+        blind = state.blind if state.mode == Mode.OVERRIDE and mode == Mode.ALLOCATE else None
+        return first(state.trouble, condition.command, allocate, no_plan, blind)
+
+
+def _gap(state: CompanionState, sample: Sample) -> float | None:
+    return None if state.last_s is None else sample.time_s - state.last_s
+
+
+def _motion(sample: Sample) -> Motion | None:
+    """What the basis network looks at; None where it is not known: garbage would stay in a for the whole flight."""
+    velocity, quaternion = sample.velocity_m_s, sample.quaternion
+    if velocity is None or quaternion is None or not sample.moves_plausibly:
+        return None
+    return Motion(velocity, quaternion)
+
+
+def _shut(array: np.ndarray) -> np.ndarray:
+    """The same numbers, which nobody can write to through it."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

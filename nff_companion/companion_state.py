@@ -1,0 +1,99 @@
+"""What the companion is told, remembers and says: orders in, the state between steps, the output of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from nff_companion.allocation.plan import Plan
+from nff_companion.allocation.planner import PlannerOptions, PlannerState
+from nff_companion.condition import Mode, Reason, Statement, read_only
+from nff_companion.control.law import Knowledge
+from nff_companion.control.override import OverrideState
+from nff_companion.core.decision import Event
+from nff_companion.core.estimator import Estimate, EstimatorOptions, EstimatorState
+from nff_companion.core.flight_phase import FlightPhaseOptions, FlightPhaseState
+from nff_companion.core.rotor_speed import RotorSpeedState
+
+
+class CompanionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tuning of one companion."""
+
+    allocation: str = "trim"
+    estimator: EstimatorOptions = EstimatorOptions()
+    flight_phase: FlightPhaseOptions = FlightPhaseOptions()
+    planner: PlannerOptions = PlannerOptions()
+    gap_max_s: float = 0.1  # without a sample: the estimate starts anew
+    recover_s: float = 0.3  # of good samples, to act again
+
+
+@dataclass(frozen=True)
+class Output:
+    """Result of one step; arrays are read-only. ``plan`` is what should be in force: None, the autopilot's own."""
+
+    time_s: float  # of the last good sample, by the autopilot's clock
+    mode: Mode  # in effect
+    obstacle: Statement | None  # why it is not the mode asked for, or why what was decided has no matrix
+    flying: bool
+    failed: np.ndarray  # (m,) bool
+    effectiveness: np.ndarray  # (m,)
+    deviation: np.ndarray  # (m,)
+    degraded: np.ndarray  # (m,) bool: allocated around, not declared
+    events: tuple[Event, ...]
+    plan: Plan | None
+    override: np.ndarray | None  # (m,) motor outputs 0..1
+    estimate: Estimate | None
+    unallocated: np.ndarray  # (n,)
+    rejected: int  # matrices that failed the check so far
+    bad_samples: int
+
+    @cached_property
+    def believed(self) -> np.ndarray:
+        """(m,) effectiveness to be told: 0 of what is declared, of a partial loss what is left, of the rest 1."""
+        partly = np.where(self.degraded, np.clip(self.effectiveness, 0.1, 1.0), 1.0)
+        return read_only(np.where(self.failed, 0.0, partly))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orders:
+    """What the operator, or a restart, wants; applied at the head of a step. Motors count from 1."""
+
+    mode: Mode | None = None
+    lift: tuple[int, ...] = ()
+    adopt: tuple[int, ...] = ()  # declarations that the autopilot already holds
+
+
+NO_ORDERS = Orders()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompanionState:
+    """Everything remembered between steps. ``failed`` is the one place where declared motors are kept."""
+
+    mode: Mode  # asked for
+    failed: np.ndarray  # (m,) bool, read-only
+    last: Output
+    phase: FlightPhaseState = field(default_factory=FlightPhaseState)
+    estimate: EstimatorState | None = None
+    planning: PlannerState
+    loop: OverrideState = field(default_factory=OverrideState)
+    speeds: RotorSpeedState
+    knowledge: Knowledge
+    adapted: Any = None  # of research
+    last_s: float | None = None  # the last good sample; None: the next one begins anew
+    good_since_s: float | None = None
+    trouble: Statement | None = field(
+        default_factory=lambda: Statement(Reason.WAITING)
+    )  # why the samples cannot be used now
+    blind: Statement | None = None  # why override cannot close the loop
+    fault: bool = False  # the estimator itself failed, and has not worked since
+    bad_samples: int = 0
+
+    @property
+    def watching(self) -> bool:
+        """Whether a flight is being estimated: nothing that it rests on may change now."""
+        return self.estimate is not None

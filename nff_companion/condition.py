@@ -1,0 +1,152 @@
+"""What stands in the way, and what is in force: typed, with one table of texts. Nothing here compares a text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from types import MappingProxyType
+
+import numpy as np
+
+from nff_companion.core.vehicle import TelemetryTable
+
+
+class Mode(IntEnum):
+    """What the companion may do."""
+
+    OBSERVE = 0
+    ALLOCATE = 1
+    OVERRIDE = 2
+
+
+class Reason(Enum):
+    """Every reason that the companion gives: (priority, text). The lowest number is said first; {} takes the detail."""
+
+    # Samples that cannot be used.
+    WAITING = (10, "waiting for telemetry")
+    TELEMETRY_STOPPED = (10, "telemetry stopped for {} s")
+    MOTOR_COUNT = (11, "telemetry has {}: check the airframe")
+    OUTPUTS_MISSING = (11, "motor outputs missing in telemetry")
+    NOT_FINITE = (11, "gyro or accelerometer not finite")
+    IMPLAUSIBLE = (11, "gyro or accelerometer beyond what a vehicle survives")
+    SAMPLE_TIME = (11, "time of the sample is {}")
+    TIME_JUMP = (12, "time jumped by {} s")
+    ESTIMATOR = (12, "estimator: {}")
+    NOT_FLYING = (13, "not flying")
+    STARTING = (13, "starting")
+    RECOVERING = (14, "recovering")
+    # Link and vehicle.
+    TWIN = (20, "another companion was here first ({}): observing")
+    AMBIGUOUS = (20, "systems {} are heard: set link.system; observing")
+    RATE = (21, "samples at {} Hz: observing")
+    # The autopilot.
+    VERSION_UNKNOWN = (30, "{}: what it does with a declared motor is not known here; observing")
+    READING = (31, "reading the autopilot's parameters")
+    PARAMETER_SILENT = (31, "the autopilot does not answer for {}: observing")
+    CONTRADICTION = (32, "{}: observing")
+    CARD_DIFFERS = (33, "the mixer on the card is not this airframe file's ({}): install again; observing")
+    UNREADABLE = (33, "applet: {}")
+    SILENT = (34, "{} does not answer: observing")
+    APPLET_MOTORS = (34, "the applet flies {}: install it again")
+    JOURNAL = (35, "{}: nothing may be changed; observing")
+    NO_MATRIX_TAKEN = (36, "FRAME_CLASS is not 17: no matrix can be loaded; set it, or use override mode")
+    # What was decided cannot be put into force.
+    NO_LIFT = (40, "the motors left cannot carry the weight: LAND")
+    NO_PLAN = (41, "no new matrix: {}")
+    NOT_TOLD = (41, "not told to the autopilot: {}")
+    NOT_CONFIRMED = (42, "told, NOT confirmed by the autopilot: {}")
+    # Override alone.
+    NO_OUTPUTS_TAKEN = (50, "{} takes no motor outputs: allocating instead")
+    NOT_GUIDED = (50, "override needs flight mode GUIDED: allocating instead")
+    STATE_UNKNOWN = (51, "override needs fresh attitude, position and velocity: allocating instead")
+    STATE_IMPLAUSIBLE = (51, "override: attitude, velocity or position not those of a vehicle: allocating instead")
+    OUTPUTS_NOT_FINITE = (51, "override: outputs not finite: allocating instead")
+    NO_HEALTHY_MATRIX = (51, "override: no matrix for this airframe: allocating instead")
+    # What is being done.
+    OBSERVING = (60, "observing")
+    NOT_WATCHING = (61, "law {}: no motor is watched")
+    TELLING = (62, "telling the autopilot of motors {}")
+    REALLOCATED = (62, "reallocated without motors {}")
+    REALLOCATED_NO_YAW = (62, "reallocated without motors {}, yaw given up")
+    STOPPED = (62, "motors {} stopped, no matrix in force")
+    PARTIAL = (63, "reallocated a partial loss")
+    PARTIAL_NO_YAW = (63, "reallocated a partial loss, yaw given up")
+    HEALTHY = (64, "all motors healthy")
+    # For the pilot, beside the above.
+    WATCHDOG_SILENT = (70, "applet watchdog is silent")
+    SECOND_VEHICLE = (70, "system {} is heard too")
+    LATER_TWIN = (70, "another companion is heard ({})")
+    SPEED_SENSOR = (71, "motor {} pulls but reads no speed")
+    SLOW_STREAM = (71, "{} needed")
+
+    @property
+    def priority(self) -> int:
+        """The lowest is said first."""
+        return self.value[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One reason with its detail; ``text`` for people."""
+
+    reason: Reason
+    detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        text: str = self.reason.value[1]
+        return text.format(self.detail)
+
+
+def first(*statements: Statement | None) -> Statement | None:
+    """The one to be said first, None when there is none."""
+    given = [s for s in statements if s is not None]
+    return min(given, key=lambda s: s.reason.priority) if given else None
+
+
+class Source(IntEnum):
+    """Whose allocation drives the motors, by the autopilot's word."""
+
+    STOCK = 0
+    DECLARATION = 1
+    MATRIX = 2
+    OVERRIDE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What the autopilot says it has in force. ``failed`` (m,) bool, read-only; None: it has not said."""
+
+    source: Source = Source.STOCK
+    failed: np.ndarray | None = None
+    yaw_released: bool = False
+    refused: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+    def holds(self, failed: np.ndarray) -> bool:
+        """Whether exactly the motors ``failed`` (m,) bool are held failed."""
+        return self.failed is not None and bool((self.failed == failed).all())
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """The autopilot and the link to it at one moment, as the adapter and the session see them."""
+
+    armed: bool | None = None  # None: not heard
+    command: Statement | None = None  # why no command may be sent
+    allocate: Statement | None = None  # why mode allocate can do nothing
+    drive: Statement | None = None  # why motor outputs may not be sent though commands may
+    untold: Statement | None = None  # why what was decided could not be told
+    takes_matrix: bool = False
+    in_force: InForce = InForce()
+    telemetry: TelemetryTable | None = None  # filters of what it sends; None: as the airframe file says
+    notes: tuple[Statement, ...] = ()  # what the pilot should hear beside all that
+    unfinished: bool = False  # something of ours must be undone or confirmed before leaving
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A copy that nobody can write to."""
+    out = np.array(array)
+    out.flags.writeable = False
+    return out

@@ -1,0 +1,61 @@
+"""Sockets and the clock around a session: once round, wait for input, hand it in, send what comes out."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Iterable
+
+from nff_companion.mavlink.hub import Hub
+from nff_companion.session import Outgoing, Session
+
+IDLE_S = 0.05  # longest wait for a datagram: heartbeats and the watchdog come from this loop
+
+
+class Loop:
+    """One hub and one session. ``others``: descriptors that are not the hub's, with what serves them."""
+
+    def __init__(self, urls: list[str], component: int, clock: Callable[[], float] = time.monotonic) -> None:
+        """Raises ConfigError, EndpointError."""
+        self.clock = clock
+        self.poll = select.poll()
+        self.hub = Hub(urls, 1, component, self.poll, clock())
+        self._system: int | None = None
+
+    def turn(self, session: Session, wait_s: float, other: Callable[[int], None] | None = None) -> None:
+        """Once round; ``other`` is given descriptors with input that are not the hub's."""
+        for descriptor, _ in self.poll.poll(1e3 * wait_s):
+            if not self.hub.owns(descriptor):
+                if other is not None:
+                    other(descriptor)
+                continue
+            for message, port in self.hub.read(descriptor, self.clock()):
+                began, before = time.perf_counter(), session.reporter.counters.samples
+                self.send(session.take(message, port, self.clock()))
+                if session.reporter.counters.samples != before:
+                    session.reporter.took(time.perf_counter() - began)
+        now = self.clock()
+        self._follow(session)
+        self._count(session)
+        self.send(session.due(now))
+        self.hub.maintain(now)
+
+    def send(self, outgoing: Iterable[Outgoing]) -> None:
+        """Send what a session wants to be sent."""
+        now = self.clock()
+        for item in outgoing:
+            self.hub.send(item.message, item.port, now)
+
+    def close(self) -> None:
+        """Close the hub."""
+        self.hub.close()
+
+    def _follow(self, session: Session) -> None:
+        """Speak as the vehicle's system, from when it is adopted."""
+        if session.system is not None and session.system != self._system:
+            self._system = session.system
+            self.hub.set_system(session.system)
+
+    def _count(self, session: Session) -> None:
+        counters = session.reporter.counters
+        counters.bad_frames, counters.unsendable = self.hub.bad_frames, self.hub.unsendable

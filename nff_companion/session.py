@@ -1,0 +1,433 @@
+"""The only loop: messages and a time in, messages out. No socket, no clock: daemon, doctor and trials are its users.
+
+link -> telemetry -> residual -> estimate -> decision -> allocation -> command -> link, once a sample in ``_sampled``;
+what is due between samples in ``due``. Times ``now_s`` are of one monotonic clock, whichever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nff_companion.announcer import Announcer
+from nff_companion.autopilots import schedule
+from nff_companion.autopilots.adoption import Adoption
+from nff_companion.autopilots.base import Adapter, Finding, Permit
+from nff_companion.autopilots.meeting import Meeting
+from nff_companion.autopilots.schedule import Command, Drive, ScheduleState
+from nff_companion.autopilots.twins import Twins
+from nff_companion.companion import Companion
+from nff_companion.companion_state import NO_ORDERS, CompanionOptions, Orders, Output
+from nff_companion.condition import Condition, Mode, Reason, Statement, first
+from nff_companion.core.decision import Event
+from nff_companion.core.sample import Sample
+from nff_companion.core.sample_rate import Agreement
+from nff_companion.mavlink.codec import Message, dialect
+from nff_companion.mavlink.services.parameter_server import ParameterServer
+from nff_companion.mavlink.services.streams import Stream, StreamMonitor
+from nff_companion.mavlink.services.timesync import TimeSync
+from nff_companion.reporting import Moment, Reporter
+from nff_companion.settings import settings
+from nff_companion.verdict import Confirmation, numbers, verdict
+
+_HEARTBEAT_S = 1.0
+_HOST_S = 2.0
+_LOOK_S = 1.0
+_ASK_WHO_S = 0.2
+_PORT_SILENT_S = 0.5  # the vehicle's port is kept while it is heard there
+_NOTHING = Condition()
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """A message to be sent through one port, None: through all."""
+
+    message: Message
+    port: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionOptions:
+    """``act`` False: a check before the flight, which asks and listens and changes nothing."""
+
+    mode: Mode = Mode.OBSERVE
+    rate_hz: float = 200.0
+    component: int = 191
+    system: int = 0  # of the vehicle; 0: the one that is heard
+    stream_timeout_s: float = 0.25
+    act: bool = True
+
+
+class Session:
+    """One companion and the vehicle that it meets."""
+
+    def __init__(
+        self,
+        companion: Companion,
+        meeting: Meeting,
+        options: SessionOptions,
+        now_s: float,
+        host_status: Callable[[], Message] | None = None,
+    ) -> None:
+        """``host_status`` makes ONBOARD_COMPUTER_STATUS, where there is a computer to speak of."""
+        self._companion, self._options, self._host_status = companion, options, host_status
+        self.state = companion.start(options.mode)
+        self._orders = NO_ORDERS
+        self._schedule = ScheduleState.start(companion.vehicle.motors)
+        self._confirmation = Confirmation()
+        self._unconfirmed_s: float | None = None
+        self._adoption = Adoption(meeting, options.system)
+        self._met: Adapter | None = None  # the adapter that the state below belongs to
+        self._port: int | None = None
+        self._asked_who_s = self._port_heard_s = self._sample_s = -np.inf  # of our clock
+        self._lost, self._adopted = True, False
+        self._rate = Agreement(options.rate_hz)
+        self._condition = _NOTHING
+        self._twins = Twins(meeting.instance, now_s)
+        self._streams, self._sync, self._announcer = StreamMonitor(), TimeSync(), Announcer()
+        self._parameters = ParameterServer(
+            settings(
+                companion.vehicle.motors,
+                lambda: self.state.mode,
+                self._obey,
+                lambda: self._companion.options,
+                self._retune,
+            ),
+            options.component,
+        )
+        self.reporter = Reporter(companion.vehicle, companion.network, meeting.instance)
+        self.reporter.built_for_hz = companion.rate_hz
+        self._next_heartbeat_s = self._next_host_s = self._next_look_s = -np.inf
+        self._now_s = now_s
+        self._news: list[tuple[float, Event]] = []
+        self._out: list[Outgoing] = []
+
+    # -- what is known ------------------------------------------------------------------------------------------
+
+    @property
+    def output(self) -> Output:
+        """Of the last step."""
+        return self.state.last
+
+    @property
+    def companion(self) -> Companion:
+        """As it is built now."""
+        return self._companion
+
+    @property
+    def adapter(self) -> Adapter | None:
+        """Of the vehicle adopted."""
+        return self._adoption.adapter
+
+    @property
+    def system(self) -> int | None:
+        """Of the vehicle adopted."""
+        return self._adoption.system
+
+    def _acting(self) -> bool:
+        return self.output.flying and self.output.mode != Mode.OBSERVE
+
+    def autopilot_time_s(self, now_s: float) -> float:
+        """The autopilot's clock: of the last sample, and as much later as our clock says."""
+        if not np.isfinite(self._sample_s):
+            return self.output.time_s
+        return self.output.time_s + max(now_s - self._sample_s, 0.0)
+
+    def news(self) -> list[tuple[float, Event]]:
+        """Declarations and their lifting since the last call, with the time of our clock."""
+        news, self._news = self._news, []
+        return news
+
+    def moment(self) -> Moment:
+        """All that there is to say now."""
+        output, condition = self.output, self._condition
+        said = verdict(output, condition, self.state.mode, self._companion.parts, self._unconfirmed_s)
+        return Moment(output, condition, self.state.mode, said, self.adapter)
+
+    def document(self, now_s: float) -> dict[str, Any]:
+        """For the monitor."""
+        age = now_s - self._sample_s
+        faults = self._companion.speed_faults(self.state)
+        document = self.reporter.document(self.moment(), age if np.isfinite(age) else None, faults)
+        trip = self._sync.round_trip_s
+        document["round_trip_ms"] = None if trip is None else round(1e3 * trip, 2)
+        return document
+
+    def findings(self, now_s: float) -> list[Finding]:
+        """What a check before the flight has found."""
+        adapter = self.adapter
+        if adapter is None:
+            return [Finding("link", False, "no autopilot heard")]
+        out = [Finding("link", True, f"autopilot of system {adapter.target[0]}, adapter {adapter.name}")]
+        if self._condition.armed:
+            out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
+        for obstacle in (self._adoption.obstacle(acting=False), self._twins.obstacle(now_s)):
+            if obstacle is not None:
+                out.append(Finding("vehicle", False, obstacle.text))
+        network = self._companion.network
+        out.append(Finding("network", True, "none: a constant basis" if network is None else network.label))
+        out += adapter.findings()
+        slow = self._streams.slow(adapter.streams(self._options.rate_hz), now_s)
+        text = ", ".join(f"{name} {rate:.0f} of {asked:.0f} Hz" for name, (rate, asked) in slow.items())
+        return [*out, Finding("rates", not slow, text or f"all streams at {self._rate.agreed_hz:.0f} Hz")]
+
+    # -- in -----------------------------------------------------------------------------------------------------
+
+    def take(self, message: Message, port: int, now_s: float) -> list[Outgoing]:
+        """One message that has arrived at a port; what is to be sent."""
+        self._now_s = now_s
+        kind = message.get_type()
+        self._twins.hear(message, self.system, now_s)
+        ours = self._adoption.hear(message, now_s, acting=self._acting())
+        if self._adoption.adapter is not self._met:
+            self._meet(self._adoption.adapter, port, now_s)
+        if kind == "TIMESYNC":
+            self._send_all(self._sync.observe(message, round(1e9 * now_s)), port)
+        elif kind.startswith("PARAM_"):
+            self._send_all(self._parameters.answer(message), port)
+        adapter = self.adapter
+        if adapter is None:
+            self._ask_who(message, port, now_s)
+        if not ours or adapter is None or not self._this_port(port, now_s):
+            return self._flushed()
+        self._streams.heard(message.get_msgId(), now_s)
+        sample = adapter.observe(message, now_s)
+        if sample is not None:
+            self._sampled(adapter, sample, now_s)
+        return self._flushed()
+
+    def order(self, orders: Orders, now_s: float) -> list[Outgoing]:
+        """The operator's word, at once; what is to be sent."""
+        self._now_s = now_s
+        self._obey(orders)
+        return self._flushed()
+
+    def _obey(self, orders: Orders) -> None:
+        self.state, output = self._companion.step(self.state, None, self._condition, orders)
+        adapter = self.adapter
+        if adapter is not None and np.isfinite(self._sample_s):
+            time_s = self.autopilot_time_s(self._now_s)
+            if orders.lift:
+                self._schedule = schedule.by_the_operator(self._schedule)
+            if orders.mode == Mode.OBSERVE:
+                self._schedule, commands = schedule.released(self._schedule, time_s)
+                self._command(adapter, commands)
+            self._commands(adapter, output, time_s)
+
+    def _retune(self, options: CompanionOptions) -> bool:
+        """Other tuning, from the next flight on; False in flight, when nothing changes."""
+        if self.state.watching:
+            return False
+        self._rebuild(self._companion.rebuilt(options=options))
+        return True
+
+    def leave(self, now_s: float) -> list[Outgoing]:
+        """The end: the vehicle is given back; confirmed declarations stay."""
+        adapter = self.adapter
+        if adapter is not None and np.isfinite(self._sample_s):
+            self._schedule, commands = schedule.released(self._schedule, self.autopilot_time_s(now_s))
+            self._command(adapter, commands)
+        return self._flushed()
+
+    def unfinished(self, now_s: float) -> bool:
+        """Whether the end must wait for the autopilot to confirm something."""
+        return self.adapter is not None and self.adapter.condition(now_s).unfinished
+
+    # -- one sample ---------------------------------------------------------------------------------------------
+
+    def _sampled(self, adapter: Adapter, sample: Sample, now_s: float) -> None:
+        self._rate.add(sample.time_s)
+        if not self.state.watching:
+            self._agree()
+        condition = self._condition = self._conditioned(adapter, now_s)
+        orders = self._taken_over(condition)
+        if orders is not NO_ORDERS:
+            self.state, _ = self._companion.step(self.state, None, condition, orders)
+        self.state, answer = self._companion.respond(self.state, sample, condition)
+        if answer is not None and self._options.act:
+            self._command(adapter, [Drive(sample.time_s, answer)])
+        self.state, output = self._companion.step(self.state, sample, condition, override=answer)
+        self._commands(adapter, output, output.time_s)
+        self._sample_s, self._lost = now_s, False
+        self._unconfirmed_s = self._confirmation.step(output, condition, now_s)
+        self.reporter.step_done(output, now_s)
+        for event in output.events:
+            self._news.append((now_s, event))
+            self._send(self.reporter.event(event), None)
+            self._send_all(self._announcer.event(event, now_s), None)
+        self._say_verdict(now_s)
+
+    def _commands(self, adapter: Adapter, output: Output, time_s: float) -> None:
+        self._schedule, commands = schedule.steps(self._schedule, output, self._condition, time_s)
+        self._command(adapter, commands)
+
+    def _command(self, adapter: Adapter, commands: Iterable[Command]) -> None:
+        if not self._options.act:
+            return
+        for command in commands:
+            for message in adapter.encode(command):
+                self._send(message, self._port)
+                self.reporter.counters.commands_sent += 1
+
+    def _conditioned(self, adapter: Adapter, now_s: float) -> Condition:
+        """The adapter's word, and what stands in the way besides."""
+        condition = adapter.condition(now_s)
+        mine = first(self._twins.obstacle(now_s), self._adoption.obstacle(acting=self._acting()), self._rate_off())
+        return condition if mine is None else replace(condition, command=first(mine, condition.command))
+
+    def _taken_over(self, condition: Condition) -> Orders:
+        """After a restart in flight the autopilot knows better than we do what has been declared; what an earlier
+        flight has left behind on the ground is not taken over."""
+        held = condition.in_force.failed
+        if self._adopted or held is None:
+            return NO_ORDERS
+        self._adopted = True
+        return Orders(adopt=tuple(numbers(held))) if condition.armed and held.any() else NO_ORDERS
+
+    # -- rate and port ------------------------------------------------------------------------------------------
+
+    def _agree(self) -> None:
+        """Between flights the companion is built for the samples and the filters that there are."""
+        built, telemetry = self._companion, self._condition.telemetry
+        rate = self._rate.build_for(built.rate_hz)
+        if rate != built.rate_hz or (telemetry is not None and telemetry != built.vehicle.telemetry):
+            self._rebuild(built.rebuilt(rate_hz=rate, telemetry=telemetry))
+
+    def _rebuild(self, companion: Companion) -> None:
+        self._companion = companion
+        self.reporter.built_for_hz = companion.rate_hz
+
+    def _rate_off(self) -> Statement | None:
+        """Why the samples are not those that the estimator was built for."""
+        built = self._companion.rate_hz
+        measured = self._rate.off_hz(built)
+        return None if measured is None else Statement(Reason.RATE, f"{measured:.0f} instead of {built:.0f}")
+
+    def _ask_who(self, message: Message, port: int, now_s: float) -> None:
+        """A vehicle that is heard, but not yet known: after a restart in flight nobody waits for its next heartbeat."""
+        target = (message.get_srcSystem(), dialect.MAV_COMP_ID_AUTOPILOT1)
+        known = self._adoption.knows(target[0]) or message.get_srcComponent() != target[1]
+        if known or now_s - self._asked_who_s < _ASK_WHO_S:
+            return
+        self._asked_who_s = now_s
+        heartbeat = float(dialect.MAVLINK_MSG_ID_HEARTBEAT)
+        values = (0, heartbeat, *[0.0] * 6)
+        self._send(dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, *values), port)
+
+    def _this_port(self, port: int, now_s: float) -> bool:
+        """The vehicle may be heard twice, directly and through a router: one port is kept while it is heard there."""
+        if port != self._port and now_s - self._port_heard_s <= _PORT_SILENT_S:
+            return False
+        self._port, self._port_heard_s = port, now_s
+        return True
+
+    def _meet(self, adapter: Adapter | None, port: int, now_s: float) -> None:
+        """Another vehicle, or another adapter for it: what was agreed with the last one does not hold."""
+        self._met = adapter
+        self._condition = _NOTHING
+        self._schedule = ScheduleState.start(self._companion.vehicle.motors)
+        self._rate.restart()
+        self._lost, self._adopted = True, False
+        self._sample_s = -np.inf
+        if adapter is None:
+            self.state, _ = self._companion.interrupted(self.state, _NOTHING, Statement(Reason.WAITING))
+            return
+        self._port, self._port_heard_s = port, now_s
+        self._parameters.adopt(adapter.target[0])
+        agreed = _sample_rate(adapter.streams(self._options.rate_hz), self._options.rate_hz)
+        self._rate = Agreement(agreed)
+        if not self.state.watching and agreed != self._companion.rate_hz:
+            self._rebuild(self._companion.rebuilt(rate_hz=agreed))
+
+    # -- between samples ----------------------------------------------------------------------------------------
+
+    def due(self, now_s: float) -> list[Outgoing]:
+        """What is due at ``now_s``, whether or not anything arrives."""
+        self._now_s = now_s
+        self._adoption.tick(now_s, acting=self._acting())
+        if self._adoption.adapter is not self._met:
+            self._meet(self._adoption.adapter, self._port or 0, now_s)
+        adapter = self.adapter
+        if not self._lost and now_s - self._sample_s > self._options.stream_timeout_s:
+            self._silence(now_s)
+        if adapter is not None:
+            self._send_all(adapter.due(now_s, self._permit()), self._port)
+            if self._lost and self._schedule.word:
+                self._condition = self._conditioned(adapter, now_s)
+                self._commands(adapter, self.output, self.autopilot_time_s(now_s))
+        self._introduce(now_s)
+        if adapter is not None and now_s >= self._next_look_s:
+            self._next_look_s = now_s + _LOOK_S
+            self._look(adapter, now_s)
+        return self._flushed()
+
+    def _silence(self, now_s: float) -> None:
+        self._lost = True
+        why = Statement(Reason.TELEMETRY_STOPPED, f"{now_s - self._sample_s:.2f}")
+        self.state, output = self._companion.interrupted(self.state, self._condition, why)
+        self._rate.restart()
+        self.reporter.silent()
+        self._unconfirmed_s = self._confirmation.step(output, self._condition, now_s)
+        self._say_verdict(now_s)
+
+    def _permit(self) -> Permit:
+        if not self._options.act:
+            return Permit.LISTEN
+        acts = self.state.mode != Mode.OBSERVE and self._condition.command is None
+        return Permit.ACT if acts else Permit.TIDY
+
+    def _introduce(self, now_s: float) -> None:
+        """Heartbeat, status, and how the computer fares."""
+        if now_s >= self._next_heartbeat_s and not self.state.fault:
+            # A companion whose estimator fails falls silent: whoever relies on it must see that.
+            self._next_heartbeat_s = now_s + _HEARTBEAT_S
+            self._send(self.reporter.heartbeat(self.output), None)
+        if not self._options.act:
+            return
+        self._send_all(self.reporter.due(self.moment(), now_s), None)
+        if self._host_status is not None and now_s >= self._next_host_s:
+            self._next_host_s = now_s + _HOST_S
+            self._send(self._host_status(), None)
+
+    def _look(self, adapter: Adapter, now_s: float) -> None:
+        """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""
+        self._send_all(self._sync.tick(round(1e9 * now_s)), self._port)
+        streams = adapter.streams(self._options.rate_hz)
+        if self._options.act or not self._condition.armed:
+            self._send_all(self._streams.requests(streams, adapter.target, now_s), self._port)
+        if not self._options.act:
+            self._condition = self._conditioned(adapter, now_s)
+            return
+        self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now_s)
+        for name, (rate, asked) in self.reporter.slow_streams.items():
+            slow = Statement(Reason.SLOW_STREAM, f"{name} {rate:.0f} Hz, {asked:.0f}")
+            self._send_all(self._announcer.note(slow, now_s, name), None)
+        notes = [*self._adoption.notes(), *self._twins.notes(now_s), *adapter.condition(now_s).notes]
+        notes += [Statement(Reason.SPEED_SENSOR, str(m)) for m in self._companion.speed_faults(self.state)]
+        for note in notes:
+            self._send_all(self._announcer.note(note, now_s), None)
+
+    # -- out ----------------------------------------------------------------------------------------------------
+
+    def _say_verdict(self, now_s: float) -> None:
+        if self._options.act:
+            self._send_all(self._announcer.verdict(self.moment().verdict, now_s), None)
+
+    def _send(self, message: Message, port: int | None) -> None:
+        self._out.append(Outgoing(message, port))
+
+    def _send_all(self, messages: Iterable[Message], port: int | None) -> None:
+        self._out += [Outgoing(message, port) for message in messages]
+
+    def _flushed(self) -> list[Outgoing]:
+        out, self._out = self._out, []
+        return out
+
+
+def _sample_rate(streams: list[Stream], otherwise_hz: float) -> float:
+    """Rate of the inertial samples among the streams asked for."""
+    rates = [s.rate_hz for s in streams if s.message_id == dialect.MAVLINK_MSG_ID_HIGHRES_IMU]
+    return rates[0] if rates else otherwise_hz

@@ -1,0 +1,1 @@
+"""Laws, ablations and peers for comparison: injected into the companion by trials alone."""

@@ -1,0 +1,359 @@
+"""The one loop: what it sends, whom it believes, and what it says of what is in force."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nff_companion.autopilots.meeting import Meeting
+from nff_companion.autopilots.twins import custom_mode
+from nff_companion.companion import Companion
+from nff_companion.companion_state import Orders
+from nff_companion.condition import Mode, Reason
+from nff_companion.core import vehicle
+from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.session import Outgoing, Session, SessionOptions
+from sitl import airframe as plant_airframe
+from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
+from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, Workshop
+
+REQUESTS = {"COMMAND_LONG", "PARAM_REQUEST_READ", "TIMESYNC"}
+PUBLISHED = {"HEARTBEAT", "STATUSTEXT", "NFF_EFFECTIVENESS", "NFF_COMPANION_STATUS", "NFF_FAULT_EVENT"}
+
+
+def flight(faults: list[Fault], *, mode: Mode = Mode.ALLOCATE, **options) -> VirtualFlight:
+    fleet = Fleet(
+        plant_airframe.load(vehicle.path_of("octo-x"), thrust_to_weight=options.get("thrust_to_weight")),
+        FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, turbulence_m_s=0.5, model_error=0.05),
+        faults,
+    )
+    return VirtualFlight(fleet, {0: TrialOptions(mode=mode)}, airframe="octo-x", **options)
+
+
+def fly(trial: VirtualFlight, until_s: float, sent: list[Message] | None = None) -> TrialCompanion:
+    """Fly on; ``sent`` gathers what the companion sends."""
+    companion = trial.companions[0]
+    codec = Codec(1, 1)
+    while trial.fleet.time_s < until_s:
+        trial.step()
+        if sent is not None:
+            for _, data in companion.up.queue:
+                sent += codec.parse(data)
+            companion.up.queue.clear()  # nothing arrives: whatever is sent is looked at, not obeyed
+    return companion
+
+
+def reason(companion: TrialCompanion) -> Reason:
+    return companion.session.moment().verdict.reason
+
+
+# -- what it sends ------------------------------------------------------------------------------------------------
+
+
+def test_in_observe_nothing_but_requests_and_publications_leaves_over_a_whole_flight() -> None:
+    trial = flight([Fault(vehicle=0, motor=3, start_s=4.0)], mode=Mode.OBSERVE)
+    codec, kinds = Codec(1, 1), Counter()
+    while trial.fleet.time_s < 7.0:
+        trial.step()
+        for _, data in trial.companions[0].up.queue:
+            for message in codec.parse(data):
+                kinds[message.get_type()] += 1
+                if message.get_type() == "COMMAND_LONG":
+                    assert message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+    assert trial.companions[0].output.failed.tolist() == [False, False, True] + [False] * 5
+    assert set(kinds) <= REQUESTS | PUBLISHED
+
+
+def test_an_ardupilot_observed_gets_requests_and_heartbeats_alone(tmp_path: Path) -> None:
+    model = vehicle.load("octo-x")
+    trial = flight(
+        [Fault(vehicle=0, motor=3, start_s=4.0)],
+        mode=Mode.OBSERVE,
+        workshop=Workshop.prepare(model, "trim", str(tmp_path)),
+    )
+    codec, tunnel = Codec(1, 1), set()
+    while trial.fleet.time_s < 6.0:
+        trial.step()
+        for _, data in trial.companions[0].up.queue:
+            for message in codec.parse(data):
+                assert message.get_type() in REQUESTS | PUBLISHED | {"TUNNEL"}
+                if message.get_type() == "TUNNEL":
+                    tunnel.add(message.payload[1])
+    assert trial.companions[0].output.failed.any()
+    assert tunnel == {1}, "heartbeats"
+
+
+def test_a_check_before_the_flight_only_asks() -> None:
+    session, now = bare_session(act=False), 0.0
+    kinds = Counter()
+    for k in range(400):
+        now = 0.01 * k
+        if k % 100 == 0:
+            kinds.update(m.message.get_type() for m in session.take(autopilot_heartbeat(), 0, now))
+        kinds.update(m.message.get_type() for m in session.due(now))
+    assert set(kinds) <= REQUESTS | {"HEARTBEAT", "TUNNEL"}
+
+
+# -- time and gaps ------------------------------------------------------------------------------------------------
+
+
+def test_a_lift_in_a_telemetry_gap_reaches_the_autopilot() -> None:
+    trial = flight([Fault(vehicle=0, motor=4, start_s=4.0)])
+    companion = fly(trial, 6.0)
+    port = trial.fleet.autopilot.ports[0]
+    assert port.failed.tolist() == [False] * 3 + [True] + [False] * 4
+    lifted = False
+    while trial.fleet.time_s < 6.8:
+        companion.down.queue.clear()  # no telemetry comes
+        trial.step()
+        if trial.fleet.time_s > 6.5 and not lifted:
+            lifted = True
+            assert companion.output.mode == Mode.OBSERVE
+            companion.order(Orders(lift=(4,)))
+    assert not port.failed.any(), "the autopilot has it from a command that was not stale"
+    assert port.refused["stale"] == 0
+
+
+def test_the_end_and_a_change_of_mode_in_a_gap_are_not_stale() -> None:
+    trial = flight([Fault(vehicle=0, motor=4, start_s=4.0)])
+    companion = fly(trial, 6.0)
+    for _ in range(160):
+        companion.down.queue.clear()
+        trial.step()
+    companion.order(Orders(mode=Mode.OBSERVE))
+    for _ in range(20):
+        companion.down.queue.clear()
+        trial.step()
+    assert trial.fleet.autopilot.ports[0].refused["stale"] == 0
+    assert companion.output.time_s > 6.0
+
+
+def test_what_is_never_confirmed_is_never_claimed() -> None:
+    """Above 125 ms one way every command is refused as stale."""
+    trial = flight([Fault(vehicle=0, motor=4, start_s=4.0)], link_delay_s=0.14)
+    companion = fly(trial, 7.0)
+    assert trial.fleet.autopilot.ports[0].refused["stale"] > 20
+    assert reason(companion) == Reason.NOT_CONFIRMED
+    document = companion.session.document(trial.fleet.time_s)
+    assert "stale" in document["reason"]
+    assert document["autopilot"]["failed"] == []
+
+
+def test_a_cut_uplink_is_said() -> None:
+    trial = flight([Fault(vehicle=0, motor=4, start_s=4.0)])
+    said: list[Message] = []
+    fly(trial, 1.0)
+    companion = fly(trial, 6.0, said)
+    assert reason(companion) == Reason.NOT_CONFIRMED
+    texts = [str(m.text) for m in said if m.get_type() == "STATUSTEXT"]
+    assert any(text.startswith("Motor 4 failed") for text in texts)
+    assert any("NOT confirmed" in text for text in texts)
+    assert not any("reallocated" in text for text in texts)
+
+
+def test_what_is_confirmed_is_said_to_be_in_force() -> None:
+    trial = flight([Fault(vehicle=0, motor=4, start_s=4.0)])
+    companion = fly(trial, 6.0)
+    assert reason(companion) == Reason.REALLOCATED
+    assert companion.session.document(6.0)["autopilot"]["failed"] == [4]
+
+
+def test_motors_that_cannot_carry_the_weight_are_said() -> None:
+    faults = [Fault(vehicle=0, motor=m, start_s=4.0 + 0.2 * k) for k, m in enumerate((1, 3))]
+    trial = flight(faults, thrust_to_weight=1.25)
+    companion = trial.companions[0]
+    reasons = set()
+    while trial.fleet.time_s < 6.0:
+        trial.step()
+        reasons.add(reason(companion))
+    assert companion.output.failed.sum() == 2
+    assert Reason.NO_LIFT in reasons
+
+
+# -- rate ---------------------------------------------------------------------------------------------------------
+
+
+def test_samples_at_another_rate_than_agreed_are_refused_with_the_reason() -> None:
+    companion = fly(flight([], stubborn_hz=100.0), 3.0)
+    assert companion.output.mode == Mode.OBSERVE
+    assert reason(companion) == Reason.RATE
+    assert "100 instead of 200" in companion.session.moment().verdict.text
+
+
+def test_the_estimator_is_built_for_what_arrives() -> None:
+    companion = fly(flight([]), 2.0)
+    assert companion.session.companion.rate_hz == pytest.approx(200.0, rel=0.01)
+
+
+# -- whom it believes ---------------------------------------------------------------------------------------------
+
+
+def autopilot_heartbeat(system: int = 1, autopilot: int = 3, armed: bool = False, kind: int = 14, component: int = 1):
+    mode = 1 | (128 if armed else 0)
+    message = dialect.MAVLink_heartbeat_message(kind, autopilot, mode, 4, 4, 3)
+    (received,) = Codec(1, 191).parse(Codec(system, component).pack(message))
+    return received
+
+
+def from_autopilot(message: Message, system: int = 1, component: int = 1) -> Message:
+    (received,) = Codec(1, 191).parse(Codec(system, component).pack(message))
+    return received
+
+
+def bare_session(*, act: bool = True, system: int = 0, instance: int = 7, mode: Mode = Mode.ALLOCATE) -> Session:
+    model = vehicle.load("octo-x")
+    meeting = Meeting(model, "auto", "trim", Path("/nonexistent/j"), instance=instance, plans={})
+    options = SessionOptions(mode=mode, act=act, system=system)
+    return Session(Companion(model, 200.0), meeting, options, 0.0)
+
+
+def texts(outgoing: list[Outgoing]) -> list[str]:
+    return [str(item.message.text) for item in outgoing if item.message.get_type() == "STATUSTEXT"]
+
+
+def test_a_ground_station_on_the_vehicles_system_is_not_taken_for_it() -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(armed=True), 0, 0.0)
+    adapter = session.adapter
+    assert adapter is not None
+    assert adapter.condition(0.0).armed is True
+    session.take(autopilot_heartbeat(armed=False, component=190, kind=6, autopilot=8), 0, 0.1)
+    session.take(autopilot_heartbeat(armed=False, system=9, kind=6, autopilot=8), 0, 0.2)
+    assert adapter.condition(0.2).armed is True
+
+
+@pytest.mark.parametrize("kind", [5, 6, 18, 26, 27])
+def test_trackers_gimbals_and_stations_are_no_vehicle(kind: int) -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(kind=kind), 0, 0.0)
+    assert session.adapter is None
+
+
+def test_one_stray_message_of_our_dialect_does_not_choose_the_adapter() -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(), 0, 0.0)
+    applied = from_autopilot(dialect.MAVLink_nff_applied_message(1, *[0] * 12))
+    session.take(applied, 0, 0.1)
+    assert session.adapter is not None
+    assert session.adapter.name == "ardupilot"
+    for k in range(5):
+        session.take(applied, 0, 0.2 + 0.05 * k)
+    assert session.adapter.name == "nff"
+    for k in range(8):  # it falls silent, the vehicle does not: won again
+        session.take(autopilot_heartbeat(), 0, 1.0 + k)
+    assert session.adapter.name == "ardupilot"
+
+
+def test_an_unknown_autopilot_is_left_alone() -> None:
+    session = bare_session()
+    out = session.take(autopilot_heartbeat(autopilot=18), 0, 0.0) + session.due(0.1)
+    assert session.adapter is None
+    assert not [item for item in out if item.message.get_type() == "COMMAND_LONG"]
+
+
+def test_two_vehicles_are_one_too_many_until_one_is_named() -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(1), 0, 0.0)
+    session.take(autopilot_heartbeat(2), 0, 0.1)
+    found = {finding.name: finding for finding in session.findings(0.2)}
+    assert found["vehicle"].ok is False
+    assert "1 and 2" in found["vehicle"].detail
+    named = bare_session(system=2)
+    named.take(autopilot_heartbeat(1), 0, 0.0)
+    assert named.adapter is None
+    named.take(autopilot_heartbeat(2), 0, 0.1)
+    assert named.system == 2
+    assert "vehicle" not in {finding.name for finding in named.findings(0.2)}
+
+
+def test_a_vehicle_that_is_gone_is_given_up_and_another_one_won() -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(1), 0, 0.0)
+    session.due(6.0)
+    assert session.adapter is None
+    session.take(autopilot_heartbeat(2), 1, 6.5)
+    assert session.system == 2
+
+
+def test_nothing_of_ours_is_asked_of_another_autopilot_and_silence_is_not_said_at_once() -> None:
+    session = bare_session()
+    out = session.take(autopilot_heartbeat(), 0, 0.0)
+    for k in range(1, 200):
+        out += session.due(0.01 * k)
+    asked = {int(i.message.param1) for i in out if i.message.get_type() == "COMMAND_LONG"}
+    assert asked
+    assert not [i for i in asked if 54000 <= i < 60000]
+    assert not [text for text in texts(out) if "does not answer" in text]
+
+
+def test_a_vehicle_heard_on_two_ports_keeps_one_and_counts_nothing_twice() -> None:
+    trial = flight([])
+    companion = trial.companions[0]
+    codec = Codec(1, 191)
+    while trial.fleet.time_s < 3.0:
+        trial.step()
+        for sent_s, data in list(companion.down.queue):
+            if sent_s - 0.01 < trial.fleet.time_s - 1e-6:
+                continue
+            for message in codec.parse(data):  # the router is a link's delay ahead
+                companion.session.take(message, 1, trial.fleet.time_s)
+    assert companion.output.bad_samples == 0
+    assert companion.output.mode == Mode.ALLOCATE
+
+
+# -- twins --------------------------------------------------------------------------------------------------------
+
+
+def companion_heartbeat(instance: int, component: int = 191) -> Message:
+    message = dialect.MAVLink_heartbeat_message(18, 8, 0, custom_mode(instance, Mode.ALLOCATE), 4, 3)
+    (received,) = Codec(1, 191).parse(Codec(1, component).pack(message))
+    return received
+
+
+def test_the_later_of_two_companions_observes_and_both_say_so() -> None:
+    trial = flight([])
+    first = fly(trial, 4.0)
+    first.session.take(companion_heartbeat(99), 0, 4.0)
+    fly(trial, 4.5)
+    assert reason(first) == Reason.HEALTHY, "it was here first"
+    later = flight([])
+    companion = fly(later, 0.5)
+    for k in range(4):
+        companion.session.take(companion_heartbeat(99), 0, later.fleet.time_s)
+        fly(later, 1.5 + k)
+    assert reason(companion) == Reason.TWIN
+    assert companion.output.mode == Mode.OBSERVE
+    fly(later, 9.0)
+    assert reason(companion) == Reason.HEALTHY, "the other one is gone"
+
+
+def test_its_own_heartbeat_come_back_is_no_twin() -> None:
+    trial = flight([])
+    companion = fly(trial, 0.5)
+    for k in range(4):
+        companion.session.take(companion_heartbeat(1), 0, trial.fleet.time_s)
+        fly(trial, 1.0 + 0.5 * k)
+    assert reason(companion) == Reason.HEALTHY
+
+
+def test_a_restart_in_flight_takes_over_what_the_autopilot_holds() -> None:
+    trial = flight([Fault(vehicle=0, motor=4, start_s=3.0)])
+    fly(trial, 5.0)
+    fleet = trial.fleet
+    again = VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE)}, airframe="octo-x")
+    start = fleet.time_s
+    companion = again.companions[0]
+    seen = None
+    while fleet.time_s < start + 2.0:
+        again.step()
+        if seen is None and companion.output.failed.any() and companion.output.plan is not None:
+            seen = fleet.time_s - start
+    assert companion.output.failed.tolist() == [False] * 3 + [True] + [False] * 4
+    assert seen is not None
+    assert seen < 1.2, "not blind for seconds"
+    assert not fleet.state.crashed[0]
+    assert np.degrees(fleet.max_tilt_rad[0]) < 25.0
