@@ -158,7 +158,7 @@ def test_residual_of_a_vehicle_that_does_what_the_model_says_is_nought(octo: Veh
         shown_state, shown = low_pass.step(shown_state, b @ lagged)
         gyro = gyro + DT * 0.5 * (last[1:] + shown[1:])
         state = chain.step(state, gyro, np.array([0, 0, -shown[0]]), command, DT)
-        worst = max(worst, float(np.abs(state.measured - b @ state.weight).max()))
+        worst = max(worst, float(np.abs(state.measured - b @ state.thrust_shown).max()))
     assert worst < 1e-9
 
 

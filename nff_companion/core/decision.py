@@ -71,20 +71,23 @@ class Event:
 
 @dataclass(slots=True)
 class DecisionState:
-    """What is declared and what is being confirmed."""
+    """What is declared and what is being confirmed. Motors are indices from 0."""
 
     failed: np.ndarray  # (m,) bool, latched
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
-    gradual_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: not low
-    healthy_since_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,) NaN: no evidence
-    quiet: bool = True  # nothing is being confirmed
+    gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
+    healthy_since_s: dict[int, float] = field(default_factory=dict)  # declared motors that work by the evidence
 
     @staticmethod
     def start(motors: int) -> DecisionState:
         """Nothing declared."""
-        never = np.full(motors, np.nan)
-        return DecisionState(np.zeros(motors, bool), (), 0.0, never.copy(), never.copy())
+        return DecisionState(failed=np.zeros(motors, bool))
+
+    @property
+    def quiet(self) -> bool:
+        """Nothing is being confirmed."""
+        return not (self.candidate or self.gradual_since_s or self.healthy_since_s)
 
 
 class Decision:
@@ -187,59 +190,99 @@ class Decision:
         """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
         coefficient); ``driven`` (m,) thrust fractions that the motors are asked for; ``direct``: named by rotor
         speeds, and the residual agrees."""
+        before: list[bool] = state.failed.tolist()
+        eta: list[float] = effectiveness.tolist()
+        if best is None and direct is None and True not in before and min(eta) > 1.0 - self.options.loss_gradual:
+            return (state if state.quiet else DecisionState.start(len(eta))), []
+        works = (eta, deviation.tolist(), driven.tolist())
+        new = DecisionState(failed=state.failed)
+        events = self._sudden(state, new, time_s, best, direct)
+        events += self._gradual(state, new, time_s, *works)
+        if True in before:
+            events += self._lift(state, new, time_s, *works)
+        return new, events
+
+    def _sudden(
+        self,
+        state: DecisionState,
+        new: DecisionState,
+        time_s: float,
+        best: Hypothesis | None,
+        direct: Hypothesis | None,
+    ) -> list[Event]:
+        """Losses that the onset windows show; what is being confirmed goes into ``new``."""
+        room = self._failed_max - sum(state.failed.tolist())
+        new.since_s = time_s
+        if direct is not None and len(direct.motors) <= room:
+            return self._declare(new, time_s, direct, 1.0)
+        if best is None or not self._convincing(best):
+            return []
+        if best.motors == state.candidate:
+            new.since_s = state.since_s
+        wait = self.options.confirm_s if len(best.motors) == 1 else self.options.confirm_ambiguous_s
+        if time_s - new.since_s >= wait - 1e-9 and len(best.motors) <= room:
+            return self._declare(new, time_s, best, best.confidence)
+        new.candidate = best.motors
+        return []
+
+    @staticmethod
+    def _declare(new: DecisionState, time_s: float, found: Hypothesis, confidence: float) -> list[Event]:
+        new.failed = new.failed.copy()
+        new.failed[list(found.motors)] = True
+        return [
+            Event(time_s, motor + 1, True, 1.0 + loss, confidence)
+            for motor, loss in zip(found.motors, found.loss, strict=True)
+        ]
+
+    def _gradual(
+        self,
+        state: DecisionState,
+        new: DecisionState,
+        time_s: float,
+        eta: list[float],
+        deviation: list[float],
+        driven: list[float],
+    ) -> list[Event]:
+        """Gradual losses, by the sparse estimate alone: of one motor, while the others are whole. Several partial
+        losses at once have look-alikes, and are what air that the model does not know looks like."""
         o = self.options
-        if (
-            best is None
-            and direct is None
-            and not state.failed.any()
-            and float(effectiveness.min()) > 1.0 - o.loss_gradual
-        ):
-            return (state if state.quiet else DecisionState.start(len(effectiveness))), []
-        events: list[Event] = []
-        failed = state.failed
-        candidate: tuple[int, ...] = ()
-        since = time_s
-        if direct is not None and failed.sum() + len(direct.motors) <= self._failed_max:
-            failed = failed.copy()
-            failed[list(direct.motors)] = True
-            for motor, loss in zip(direct.motors, direct.loss, strict=True):
-                events.append(Event(time_s, motor + 1, True, 1.0 + loss, 1.0))
-        elif best is not None and self._convincing(best):
-            candidate = best.motors
-            since = state.since_s if candidate == state.candidate else time_s
-            wait = o.confirm_s if len(candidate) == 1 else o.confirm_ambiguous_s
-            if time_s - since >= wait - 1e-9 and failed.sum() + len(candidate) <= self._failed_max:
-                failed = failed.copy()
-                failed[list(candidate)] = True
-                for motor, loss in zip(best.motors, best.loss, strict=True):
-                    events.append(Event(time_s, motor + 1, True, 1.0 + loss, best.confidence))
-                candidate = ()
-        # Gradual losses, by the sparse estimate alone: of one motor, while the others are whole. Several partial
-        # losses at once have look-alikes, and are what air that the model does not know looks like.
-        lost = (1.0 - effectiveness > o.loss_others) & ~failed
-        low = (
-            (int(lost.sum()) == 1)
-            & (1.0 - effectiveness > o.loss_gradual)
-            & (deviation < 0.25)
-            & ~failed
-            & (driven > o.lift_driven)
-        )
-        gradual = np.where(low, np.where(np.isnan(state.gradual_since_s), time_s, state.gradual_since_s), np.nan)
-        ready = low & (time_s - np.nan_to_num(gradual, nan=np.inf) >= o.confirm_gradual_s)
-        if ready.sum() == 1 and failed.sum() < self._failed_max:
-            motor = int(np.flatnonzero(ready)[0])
-            failed = failed.copy()
-            failed[motor] = True
-            confidence = float(1.0 - np.clip(deviation[motor] / (1.0 - effectiveness[motor]), 0.0, 1.0) ** 2)
-            events.append(Event(time_s, motor + 1, True, float(effectiveness[motor]), confidence))
-        # Evidence that a declared motor works while it is driven.
-        well = state.failed & (effectiveness > o.lift_effectiveness) & (deviation < 0.15) & (driven > o.lift_driven)
-        healthy = np.where(well, np.where(np.isnan(state.healthy_since_s), time_s, state.healthy_since_s), np.nan)
-        lifted = well & (time_s - np.nan_to_num(healthy, nan=np.inf) >= o.lift_s)
-        if lifted.any():
-            failed = failed & ~lifted
-            events += [Event(time_s, int(i) + 1, False, float(effectiveness[i]), 1.0) for i in np.flatnonzero(lifted)]
-        return DecisionState(failed, candidate, since, gradual, healthy, quiet=False), events
+        failed: list[bool] = new.failed.tolist()
+        left = [i for i, declared in enumerate(failed) if not declared]
+        if sum(1.0 - eta[i] > o.loss_others for i in left) != 1:
+            return []
+        low = [i for i in left if 1.0 - eta[i] > o.loss_gradual and deviation[i] < 0.25 and driven[i] > o.lift_driven]
+        new.gradual_since_s = {i: state.gradual_since_s.get(i, time_s) for i in low}
+        ready = [i for i, since_s in new.gradual_since_s.items() if time_s - since_s >= o.confirm_gradual_s]
+        if len(ready) != 1 or sum(failed) >= self._failed_max:
+            return []
+        motor = ready[0]
+        new.failed = new.failed.copy()
+        new.failed[motor] = True
+        doubt = min(max(deviation[motor] / (1.0 - eta[motor]), 0.0), 1.0)
+        return [Event(time_s, motor + 1, True, eta[motor], 1.0 - doubt * doubt)]
+
+    def _lift(
+        self,
+        state: DecisionState,
+        new: DecisionState,
+        time_s: float,
+        eta: list[float],
+        deviation: list[float],
+        driven: list[float],
+    ) -> list[Event]:
+        """Evidence that a declared motor works while it is driven."""
+        o = self.options
+        well = [
+            i
+            for i, declared in enumerate(state.failed.tolist())
+            if declared and eta[i] > o.lift_effectiveness and deviation[i] < 0.15 and driven[i] > o.lift_driven
+        ]
+        new.healthy_since_s = {i: state.healthy_since_s.get(i, time_s) for i in well}
+        lifted = [i for i, since_s in new.healthy_since_s.items() if time_s - since_s >= o.lift_s]
+        if lifted:
+            new.failed = new.failed.copy()
+            new.failed[lifted] = False
+        return [Event(time_s, i + 1, False, eta[i], 1.0) for i in lifted]
 
     def _convincing(self, best: Hypothesis) -> bool:
         o = self.options

@@ -7,7 +7,7 @@ differently. The spread around phi a gives W.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -51,8 +51,10 @@ def learn_side_drag(state: SideDragState, slope: float, residual: float, varianc
     noise = variance * CORRELATION_S / dt_s
     gain = prior * slope / (slope * slope * prior + noise)
     keep = 1.0 - gain * slope
-    share = min(max(state.share + gain * residual, 0.0), 1.2)
-    return SideDragState(share, min(keep * prior * keep + gain * noise * gain, _SHARE_PRIOR_DEVIATION**2))
+    return SideDragState(
+        share=min(max(state.share + gain * residual, 0.0), 1.2),
+        variance=min(keep * prior * keep + gain * noise * gain, _SHARE_PRIOR_DEVIATION**2),
+    )
 
 
 class Basis(Protocol):
@@ -82,6 +84,15 @@ class DisturbanceState:
     variance: np.ndarray
 
 
+@dataclass(slots=True)
+class Expectation:
+    """phi a at one sample, SI: as far as it is believed (n,), and as it was learnt (n,); with its phi (k + 1,)."""
+
+    basis: np.ndarray
+    believed: np.ndarray
+    learnt: np.ndarray
+
+
 class Disturbance:
     """Constants of one airframe; ``network`` None: a constant basis; ``bounded`` False: phi a may explain everything,
     where no motor is looked for."""
@@ -100,6 +111,7 @@ class Disturbance:
         self.ceiling = np.maximum(_CEILING_SHARE * self.loss_scale, self.floor)
         self._floor_squared, self._ceiling_squared = self.floor**2, self.ceiling**2
         self._adapted_max = (_MEAN_SHARE_MAX if bounded else np.inf) * self.loss_scale
+        self._adapted_min = -self._adapted_max
         self._vehicle, self.network = vehicle, network
         constant = np.zeros((1, vehicle.axes))
         self._scale = np.ones(vehicle.axes) if network is None else network.axis_scale
@@ -109,13 +121,13 @@ class Disturbance:
 
     def start(self) -> DisturbanceState:
         """Nothing learnt in this flight."""
-        return DisturbanceState(self._adaptation.start(), self._blind, self.floor**2)
+        return DisturbanceState(adaptation=self._adaptation.start(), basis=self._blind, variance=self.floor**2)
 
     def variance(self, state: DisturbanceState) -> np.ndarray:
         """Variance (n,) of the residual in steady flight, between floor and ceiling."""
         return np.minimum(np.maximum(state.variance, self._floor_squared), self._ceiling_squared)
 
-    def weight(self, state: DisturbanceState) -> np.ndarray:
+    def noise_weight(self, state: DisturbanceState) -> np.ndarray:
         """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
         return 1.0 / (self.variance(state) * CORRELATION_S)
 
@@ -128,11 +140,16 @@ class Disturbance:
             return state.basis + lag_share(dt_s, _STALE_S) * (self._blind - state.basis)
         return self.network(features)
 
+    def expect(self, state: DisturbanceState, basis: np.ndarray) -> Expectation:
+        """phi a; what was learnt in this flight, beyond a0, may not grow into the place of a motor."""
+        known = self._scale * basis.dot(self._adaptation.prior)
+        learnt = self._scale * basis.dot(state.adaptation.a)
+        beyond = np.minimum(np.maximum(learnt - known, self._adapted_min), self._adapted_max)
+        return Expectation(basis=basis, believed=known + beyond, learnt=learnt)
+
     def predict(self, state: DisturbanceState, basis: np.ndarray) -> np.ndarray:
-        """phi a (n,) in SI; what was learnt in this flight, beyond a0, may not grow into the place of a motor."""
-        expected = self._scale * (basis @ self._adaptation.prior)
-        adapted = self._scale * (basis @ state.adaptation.a) - expected
-        return expected + np.minimum(np.maximum(adapted, -self._adapted_max), self._adapted_max)
+        """phi a (n,) in SI, as far as it is believed."""
+        return self.expect(state, basis).believed
 
     def step(
         self,
@@ -143,25 +160,42 @@ class Disturbance:
         rate: float = 1.0,
         allocation_norm: float = 0.0,
     ) -> DisturbanceState:
-        """One sample of the raw residual y (n,); ``rate`` scales the speed of learning, 0: frozen;
-        ``allocation_norm`` is that of the matrix in force, for (6.8)."""
-        if rate <= 0.0:
-            return replace(state, adaptation=self._projected(state.adaptation, allocation_norm), basis=basis)
-        predicted = self.predict(state, basis)
-        around = residual - predicted
-        # At the limit of what may be learnt y is taken for what is believed already, so that a does not wind up.
-        unbounded = self._scale * (basis @ state.adaptation.a)
-        held = (residual - unbounded) * (unbounded - predicted) > 0.0
-        seen = np.where(held, unbounded, residual)
-        adaptation = self._adaptation.step(state.adaptation, basis, seen / self._scale, min(rate * dt_s, 0.5))
+        """``expect`` and ``learn`` of one sample."""
+        return self.learn(state, self.expect(state, basis), residual, dt_s, rate, allocation_norm)
+
+    def learn(
+        self,
+        state: DisturbanceState,
+        expectation: Expectation,
+        residual: np.ndarray,
+        dt_s: float,
+        rate: float = 1.0,
+        allocation_norm: float = 0.0,
+    ) -> DisturbanceState:
+        """One sample of the raw residual y (n,), of which ``expectation`` was expected in ``state``; ``rate`` scales
+        the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8)."""
+        adaptation, variance = state.adaptation, state.variance
+        if rate > 0.0:
+            adaptation = self._adapted(adaptation, expectation, residual, min(rate * dt_s, 0.5))
+            around = residual - expectation.believed
+            most = _SPREAD_LIMIT**2 * np.maximum(variance, self._floor_squared)
+            variance = variance + min(rate * dt_s / _SPREAD_S, 0.5) * (np.minimum(around * around, most) - variance)
         adaptation = self._projected(adaptation, allocation_norm)
-        spread = np.minimum(around**2, _SPREAD_LIMIT**2 * np.maximum(state.variance, self._floor_squared))
-        variance = state.variance + min(rate * dt_s / _SPREAD_S, 0.5) * (spread - state.variance)
-        return DisturbanceState(adaptation, basis, variance)
+        return DisturbanceState(adaptation=adaptation, basis=expectation.basis, variance=variance)
+
+    def _adapted(
+        self, state: AdaptationState, expectation: Expectation, residual: np.ndarray, dt_s: float
+    ) -> AdaptationState:
+        """One step of a. At the limit of what may be learnt y is taken for what is learnt already, so that a does not
+        wind up."""
+        innovation = residual - expectation.learnt
+        held = innovation * (expectation.learnt - expectation.believed) > 0.0
+        seen = np.where(held, expectation.learnt, residual) if True in held.tolist() else residual
+        return self._adaptation.step(state, expectation.basis, seen / self._scale, dt_s)
 
     def _projected(self, state: AdaptationState, allocation_norm: float) -> AdaptationState:
         """Within (6.8), whose bound moves with the allocation in force."""
         if self.network is None or not allocation_norm:
             return state
         a = self.network.project(state.a, self._vehicle, allocation_norm)
-        return state if a is state.a else AdaptationState(a, state.covariance)
+        return state if a is state.a else AdaptationState(a=a, covariance=state.covariance)

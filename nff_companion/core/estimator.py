@@ -1,4 +1,14 @@
-"""One step of estimation: telemetry in; residual, sparse effectiveness and decisions out. Pure."""
+"""One step of estimation: telemetry in; residual, sparse effectiveness and decisions out.
+
+    residual    y = x' - f(x) - B0 w, of the motors that are not declared
+    explain     y - phi a, and W from how large it usually is
+    accumulate  S, q of the sparse program, and the windows of the onsets
+    weigh       the hypotheses, where the residual is suspicious; e by the sparse program, 100 times a second
+    decide      what is declared
+    learn       a and the rotors' share of the drag, from what no motor explains
+
+No clock, no input or output. What is handed out never changes afterwards; a state is used up by its step.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +26,7 @@ from nff_companion.core.disturbance import (
     Basis,
     Disturbance,
     DisturbanceState,
+    Expectation,
     SideDragState,
     learn_side_drag,
 )
@@ -79,10 +90,15 @@ class Estimate:
     residual: np.ndarray  # (n,) y - phi a
     disturbance: np.ndarray  # (n,) phi a
     features: np.ndarray | None  # (d,) that phi was fed with
-    weight: np.ndarray  # w, thrust fractions as they show in y
-    push: np.ndarray  # (2,) specific force along x and y, m/s^2
+    thrust_shown: np.ndarray  # w, thrust fractions as they show in y
+    lateral_m_s2: np.ndarray  # (2,) specific force along x and y, smoothed
     best: Hypothesis | None
     events: list[Event]
+
+    @property
+    def push(self) -> np.ndarray:
+        """``lateral_m_s2`` by its former name."""
+        return self.lateral_m_s2
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +107,34 @@ class Motion:
 
     velocity_m_s: np.ndarray
     quaternion: np.ndarray
+
+
+class Measurement(msgspec.Struct, frozen=True, kw_only=True):
+    """One sample as the estimator takes it (a struct of msgspec: a frozen dataclass costs fifteen times as much)."""
+
+    time_s: float
+    dt_s: float  # since the sample before
+    gyro: np.ndarray  # (3,) rad/s
+    specific_force: np.ndarray  # (3,) m/s^2
+    command: np.ndarray  # (m,) thrust fractions asked of the motors
+    stopped: np.ndarray | None = None  # (m,) bool: stand still by their rotor speeds
+    motion: Motion | None = None  # None: not known, phi stays what it was
+    allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What one sample shows, before anything is made of it."""
+
+    filtered: ResidualState
+    side_drag: np.ndarray  # (m,) yaw acceleration per thrust fraction
+    effectiveness_matrix: np.ndarray  # B0 (n, m)
+    thrust_left: np.ndarray  # (m,) w, without the motors declared
+    raw: np.ndarray  # (n,) y
+    features: np.ndarray | None
+    expectation: Expectation
+    residual: np.ndarray  # (n,) y - phi a
+    noise_weight: np.ndarray  # (n,) diagonal of W
 
 
 class Estimator:
@@ -135,7 +179,7 @@ class Estimator:
             decision=decision,
             started_s=time_s,
             suspicious_since_s=None,
-            solved_s=-np.inf,
+            solved_s=-math.inf,
             effectiveness=np.ones(m),
             deviation=np.ones(m),
         )
@@ -152,116 +196,189 @@ class Estimator:
         motion: Motion | None = None,
         allocation_norm: float = 0.0,
     ) -> tuple[EstimatorState, Estimate]:
-        """One sample; ``command`` (m,) thrust fractions asked of the motors, ``stopped`` (m,) bool those that stand
-        still by their rotor speeds; ``motion`` None: not known, phi stays what it was. Raises SolverError."""
-        o = self.options
-        filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
-        side_drag = self._filter.side_drag(filtered)
-        matrix = self._filter.effectiveness(side_drag, state.side_drag.share)
-        decision = state.decision
-        nominal = filtered.weight if not decision.failed.any() else np.where(decision.failed, 0.0, filtered.weight)
-        commanded = matrix @ nominal
-        raw = filtered.measured - commanded
-        seen = None
-        if motion is not None:
-            seen = features(motion.velocity_m_s, motion.quaternion, filtered.push, filtered.rate, commanded)
-        basis = self._disturbance.basis(state.disturbance, seen, dt_s)
-        expected = self._disturbance.predict(state.disturbance, basis)
-        residual = raw - expected
-        if not math.isfinite(float(residual.sum())):
-            raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
-        weight = self._disturbance.weight(state.disturbance)
+        """``advance`` by the fields of a ``Measurement``."""
+        measurement = Measurement(
+            time_s=time_s,
+            dt_s=dt_s,
+            gyro=gyro,
+            specific_force=specific_force,
+            command=command,
+            stopped=stopped,
+            motion=motion,
+            allocation_norm=allocation_norm,
+        )
+        return self.advance(state, measurement)
 
-        regressor = matrix * filtered.weight
-        information = sparse.update(state.information, regressor, residual, weight, dt_s, o.forgetting_per_s)
-        steady = state.steady + self._steady * (filtered.weight - state.steady)
-        onset = self._onset.push(state.onset, filtered.weight, residual, matrix, steady)
+    def advance(self, state: EstimatorState, measurement: Measurement) -> tuple[EstimatorState, Estimate]:
+        """One sample. Raises SolverError."""
+        time_s = measurement.time_s
+        seen = self._explain(state, measurement)
+        information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         best = direct = None
-        hint = () if stopped is None else tuple(int(i) for i in np.flatnonzero(stopped & ~decision.failed))
-        if o.identify and (hint or float((residual * residual * weight).max()) * CORRELATION_S > _SUSPICIOUS**2):
-            lateral = float(np.hypot(filtered.lateral[0], filtered.lateral[1]))
-            yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
-            sums = self._onset.sums(onset, matrix, self._disturbance.variance(state.disturbance), yaw_error)
-            best = self._decision.best(sums, decision.failed, o.gamma_onset)
-            if 1 <= len(hint) <= 2:
-                direct = self._decision.direct(sums, decision.failed, hint, o.gamma_onset)
-        suspicious_since = (time_s if state.suspicious_since_s is None else state.suspicious_since_s) if best else None
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
-        if o.identify and time_s - solved_s >= o.solve_interval_s - 1e-9:
-            solved_s = time_s
-            effectiveness, deviation = self._effectiveness(information, decision.failed)
-        events: list[Event] = []
-        if o.identify:
+        decision, events = state.decision, list[Event]()
+        if self.options.identify:
+            best, direct = self._weigh(state, seen, onset, measurement.stopped)
+            if time_s - solved_s >= self.options.solve_interval_s - 1e-9:
+                solved_s = time_s
+                effectiveness, deviation = self._effectiveness(information, decision.failed)
+            command = measurement.command
             decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
-            information, onset = sparse.Information.empty(len(command)), self._onset.start()
-        sure = best is not None and best.explained > _SURE_EXPLAINED
-        rate = self._learning_rate(time_s, state.started_s, suspicious_since, sure)
-        explained = self._explained(effectiveness, decision.failed) if o.identify else None
-        rest = raw if explained is None else raw - matrix @ (filtered.weight * explained)
-        disturbance = self._disturbance.step(state.disturbance, basis, rest, dt_s, rate, allocation_norm)
-        learnt = state.side_drag
-        if rate == 1.0:
-            learnt = learn_side_drag(
-                learnt, float(side_drag @ nominal), float(residual[YAW]), float(disturbance.variance[YAW]), dt_s
-            )
+            information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
+        suspicious_since_s = None
+        if best is not None:
+            suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
+        rate = self._learning_rate(time_s, state.started_s, suspicious_since_s, best)
+        disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
         new = EstimatorState(
-            filtered,
-            disturbance,
-            learnt,
-            information,
-            onset,
-            steady,
-            decision,
-            state.started_s,
-            suspicious_since,
-            solved_s,
-            effectiveness,
-            deviation,
+            residual=seen.filtered,
+            disturbance=disturbance,
+            side_drag=side_drag,
+            information=information,
+            onset=onset,
+            steady=steady,
+            decision=decision,
+            started_s=state.started_s,
+            suspicious_since_s=suspicious_since_s,
+            solved_s=solved_s,
+            effectiveness=effectiveness,
+            deviation=deviation,
         )
         return new, Estimate(
-            effectiveness,
-            deviation,
-            decision.failed,
-            raw,
-            residual,
-            expected,
-            seen,
-            filtered.weight,
-            filtered.lateral,
-            best,
-            events,
+            effectiveness=effectiveness,
+            deviation=deviation,
+            failed=decision.failed,
+            raw=seen.raw,
+            residual=seen.residual,
+            disturbance=seen.expectation.believed,
+            features=seen.features,
+            thrust_shown=seen.filtered.thrust_shown,
+            lateral_m_s2=seen.filtered.lateral_slow_m_s2,
+            best=best,
+            events=events,
         )
+
+    def _explain(self, state: EstimatorState, measurement: Measurement) -> _Seen:
+        """y, what of it is expected, and W. Raises SolverError where the residual is not finite."""
+        motion, failed = measurement.motion, state.decision.failed
+        filtered = self._filter.step(
+            state.residual, measurement.gyro, measurement.specific_force, measurement.command, measurement.dt_s
+        )
+        side_drag = self._filter.side_drag(filtered)
+        matrix = self._filter.effectiveness_matrix(side_drag, state.side_drag.share)
+        thrust_left = filtered.thrust_shown
+        if True in failed.tolist():
+            thrust_left = np.where(failed, 0.0, thrust_left)
+        commanded = matrix.dot(thrust_left)
+        raw = filtered.measured - commanded
+        seen = None
+        if motion is not None:
+            lateral, rate = filtered.lateral_m_s2, filtered.rate_rad_s
+            seen = features(motion.velocity_m_s, motion.quaternion, lateral, rate, commanded)
+        basis = self._disturbance.basis(state.disturbance, seen, measurement.dt_s)
+        expectation = self._disturbance.expect(state.disturbance, basis)
+        residual = raw - expectation.believed
+        if not math.isfinite(sum(residual.tolist())):
+            raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
+        return _Seen(
+            filtered=filtered,
+            side_drag=side_drag,
+            effectiveness_matrix=matrix,
+            thrust_left=thrust_left,
+            raw=raw,
+            features=seen,
+            expectation=expectation,
+            residual=residual,
+            noise_weight=self._disturbance.noise_weight(state.disturbance),
+        )
+
+    def _accumulate(
+        self, state: EstimatorState, seen: _Seen, dt_s: float
+    ) -> tuple[sparse.Information, OnsetState, np.ndarray]:
+        """S and q, the history of the onsets, and the slow part of w, with this sample."""
+        w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
+        information = sparse.update(
+            state.information, matrix * w, seen.residual, seen.noise_weight, dt_s, self.options.forgetting_per_s
+        )
+        steady = state.steady + self._steady * (w - state.steady)
+        return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
+
+    def _weigh(
+        self, state: EstimatorState, seen: _Seen, onset: OnsetState, stopped: np.ndarray | None
+    ) -> tuple[Hypothesis | None, Hypothesis | None]:
+        """The best explanation of the last moments by lost motors, and the one that rotor speeds name; None: none."""
+        failed = state.decision.failed
+        hint: tuple[int, ...] = ()
+        if stopped is not None and True in stopped.tolist():
+            hint = tuple(np.flatnonzero(stopped & ~failed).tolist())
+        largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
+        if not hint and largest * CORRELATION_S <= _SUSPICIOUS**2:
+            return None, None
+        lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
+        yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
+        variance = self._disturbance.variance(state.disturbance)
+        sums = self._onset.sums(onset, seen.effectiveness_matrix, variance, yaw_error)
+        gamma = self.options.gamma_onset
+        direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
+        return self._decision.best(sums, failed, gamma), direct
 
     def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""
-        if not failed.any():
-            return 1.0 + sparse.solve(information, self.options.gamma), sparse.deviation(information)
+        deviation = sparse.deviation(information)
+        if True not in failed.tolist():
+            return 1.0 + sparse.solve(information, self.options.gamma), deviation
         nuisance = np.flatnonzero(failed)
         matrix, vector, energy, free = hypotheses.without_nuisance(
-            information.matrix[None], information.vector[None], np.array([information.energy]), nuisance
+            information.matrix, information.vector, np.asarray(information.energy), nuisance
         )
-        rest = sparse.Information(matrix[0], vector[0], float(energy[0]))
+        rest = sparse.Information(matrix=matrix, vector=vector, energy=float(energy))
         eta = 1.0 + sparse.solve(rest, self.options.gamma)
-        eta[nuisance] = np.clip(free[0], 0.0, 1.2)
-        return eta, sparse.deviation(information)
+        eta[nuisance] = np.minimum(np.maximum(free, 0.0), 1.2)
+        return eta, deviation
+
+    def _learn(
+        self,
+        state: EstimatorState,
+        seen: _Seen,
+        measurement: Measurement,
+        rate: float,
+        effectiveness: np.ndarray,
+        failed: np.ndarray,
+    ) -> tuple[DisturbanceState, SideDragState]:
+        """a, and the rotors' share of the drag, from what no motor explains."""
+        rest, dt_s = seen.raw, measurement.dt_s
+        explained = self._explained(effectiveness, failed) if self.options.identify else None
+        if explained is not None:
+            rest = rest - seen.effectiveness_matrix.dot(seen.filtered.thrust_shown * explained)
+        norm = measurement.allocation_norm
+        disturbance = self._disturbance.learn(state.disturbance, seen.expectation, rest, dt_s, rate, norm)
+        if rate != 1.0:
+            return disturbance, state.side_drag
+        slope, yaw = float(seen.side_drag.dot(seen.thrust_left)), float(seen.residual[YAW])
+        return disturbance, learn_side_drag(state.side_drag, slope, yaw, float(disturbance.variance[YAW]), dt_s)
 
     @staticmethod
     def _explained(effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
         too: the loss of a few, and what declared motors still give. None: nothing."""
+        declared = True in failed.tolist()
+        if not declared and min(effectiveness.tolist()) >= 1.0 - _CLEAR_LOSS:
+            return None
         loss = effectiveness - 1.0
         low = (loss < -_CLEAR_LOSS) & ~failed
         few = 0 < int(low.sum()) <= _FEW
-        if not few and not failed.any():
+        if not few and not declared:
             return None
         return np.where(failed, effectiveness, np.where(low & few, loss, 0.0))
 
     @staticmethod
-    def _learning_rate(time_s: float, started_s: float, suspicious_since_s: float | None, sure: bool) -> float:
+    def _learning_rate(
+        time_s: float, started_s: float, suspicious_since_s: float | None, best: Hypothesis | None
+    ) -> float:
         """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
-        if suspicious_since_s is not None:
-            longest = _FREEZE_SURE_S if sure else _FREEZE_MAX_S
+        if best is not None and suspicious_since_s is not None:
+            longest = _FREEZE_SURE_S if best.explained > _SURE_EXPLAINED else _FREEZE_MAX_S
             return 0.0 if time_s - suspicious_since_s < longest else 0.3
         return _LEARN_FAST_RATE if time_s - started_s < _LEARN_FAST_S else 1.0

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+
+Signal = TypeVar("Signal", float, np.ndarray)
 
 
 def lag_share(dt_s: float, time_constant_s: float) -> float:
@@ -34,15 +37,16 @@ class LowPass:
             (1.0 - math.sqrt(2.0) * warped + warped * warped) / scale,
         )
 
-    def settled(self, value: np.ndarray) -> np.ndarray:
-        """State (2, width) of a filter that has seen ``value`` for ever."""
-        return np.tile(value / (1.0 + self.a1 + self.a2), (2, 1))
+    def settled(self, value: Signal) -> tuple[Signal, Signal]:
+        """State of a filter that has seen ``value`` for ever."""
+        delayed = value / (1.0 + self.a1 + self.a2)
+        return delayed, delayed
 
-    def step(self, state: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(new state, output) for one sample; shapes (2, width), (width,)."""
+    def step(self, state: tuple[Signal, Signal], value: Signal) -> tuple[tuple[Signal, Signal], Signal]:
+        """(new state, output) for one sample ``value``, a number or an array (width,) of parallel signals."""
         first, second = state
         new = value - self.a1 * first - self.a2 * second
-        return np.stack((new, first)), self.b * (new + 2.0 * first + second)
+        return (new, first), self.b * (new + 2.0 * first + second)
 
 
 def loss_response(dt_s: float, samples: int, lag_s: float, low_pass: LowPass | None, smoothing_s: float) -> np.ndarray:
@@ -51,14 +55,13 @@ def loss_response(dt_s: float, samples: int, lag_s: float, low_pass: LowPass | N
     share, smooth = lag_share(dt_s, lag_s), lag_share(dt_s, smoothing_s)
     out = np.zeros(samples)
     lag = before = filtered = 0.0
-    state = np.zeros((2, 1))
+    state = (0.0, 0.0)
     for k in range(samples):
         # The sample before the loss is sample -1: the lag has moved for k + 1 periods, on average half of the first.
         lag += (0.5 if k == 0 else 1.0) * share * (1.0 - lag)
         value = lag
         if low_pass is not None:
-            state, shown = low_pass.step(state, np.array([lag]))
-            value = float(shown[0])
+            state, value = low_pass.step(state, lag)
         filtered += smooth * (0.5 * (value + before) - filtered)
         before = value
         out[k] = filtered

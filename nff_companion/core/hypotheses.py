@@ -60,23 +60,23 @@ def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarra
 def without_nuisance(
     matrix: np.ndarray, vector: np.ndarray, energy: np.ndarray, nuisance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """S, q, energy after the columns ``nuisance`` (indices) are fitted freely, and their coefficients (K, |nuisance|).
+    """S, q, energy after the columns ``nuisance`` (indices) are fitted freely, and their coefficients (.., |nuisance|).
+    Any axes may lead.
 
     The Schur complement: motors already declared may still push (spinning down) or work again; neither may be
     blamed on the others.
     """
     if len(nuisance) == 0:
-        return matrix, vector, energy, np.zeros((len(vector), 0))
-    block = matrix[:, nuisance[:, None], nuisance]
-    ridge = 1e-6 * np.einsum("kii->k", matrix)[:, None, None] + _TINY
-    inverse = np.linalg.inv(block + ridge * np.eye(len(nuisance)))
-    cross = matrix[:, :, nuisance]
+        return matrix, vector, energy, np.zeros((*vector.shape[:-1], 0))
+    cross = matrix[..., nuisance]
+    part = vector[..., nuisance]
+    ridge = 1e-6 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] + _TINY
+    inverse = np.linalg.inv(cross[..., nuisance, :] + ridge * np.eye(len(nuisance)))
     gain = cross @ inverse
-    part = vector[:, nuisance]
-    coefficients = np.einsum("kij,kj->ki", inverse, part)
-    reduced = matrix - gain @ cross.transpose(0, 2, 1)
-    remaining = vector - np.einsum("kij,kj->ki", gain, part)
-    reduced[:, nuisance, :] = 0.0
-    reduced[:, :, nuisance] = 0.0
-    remaining[:, nuisance] = 0.0
-    return reduced, remaining, energy - np.einsum("ki,ki->k", part, coefficients), coefficients
+    coefficients = np.einsum("...ij,...j->...i", inverse, part)
+    reduced = matrix - gain @ cross.swapaxes(-1, -2)
+    remaining = vector - np.einsum("...ij,...j->...i", gain, part)
+    reduced[..., nuisance, :] = 0.0
+    reduced[..., nuisance] = 0.0
+    remaining[..., nuisance] = 0.0
+    return reduced, remaining, energy - (part * coefficients).sum(axis=-1), coefficients

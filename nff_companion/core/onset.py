@@ -33,14 +33,14 @@ _STANDING_S = (0.1, 0.2)
 
 @dataclass(slots=True)
 class OnsetState:
-    """The last samples, newest last."""
+    """The last L samples, in a ring written twice: rows ``next`` and ``next + L`` are the same sample, so that any L
+    rows that follow each other are a window. The arrays change in place."""
 
-    outer: np.ndarray  # (L, m * m) w w'
-    product: np.ndarray  # (L, n * m) y w'
-    squared: np.ndarray  # (L, n) y^2
-    doubtful: np.ndarray  # (L, n) variance by errors of the model that scale with what the motors do
-    weight: np.ndarray  # (L, m) w
-    residual: np.ndarray  # (L, n) y
+    thrust_shown: np.ndarray  # (2 L, m) w
+    steady: np.ndarray  # (2 L, m) slow part of w
+    residual: np.ndarray  # (2 L, n) y
+    effectiveness_matrix: np.ndarray  # (2 L, n, m) B0 of that moment
+    next: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,63 +84,90 @@ class OnsetBank:
             self._inside[row, self.length - count :] = 1.0
         self._squared = self._response**2
         self._counts = np.array(counts + standing)
+        self._mean = self._inside / self._counts[:, None]
         self.age_s = self._counts * dt_s
         self._error = MODEL_ERROR_SHARE**2 * np.eye(self._axes)
         self._yaw_share = (inertia_kg_m2[:2] / inertia_kg_m2[2]) ** 2
 
     def start(self) -> OnsetState:
         """Empty history."""
-        length, n, m = self.length, self._axes, self._motors
-        outer, product = np.zeros((length, m * m)), np.zeros((length, n * m))
-        squared, doubtful, residual = (np.zeros((length, n)) for _ in range(3))
-        return OnsetState(outer, product, squared, doubtful, np.zeros((length, m)), residual)
+        rows, n, m = 2 * self.length, self._axes, self._motors
+        return OnsetState(
+            thrust_shown=np.zeros((rows, m)),
+            steady=np.zeros((rows, m)),
+            residual=np.zeros((rows, n)),
+            effectiveness_matrix=np.zeros((rows, n, m)),
+        )
 
     def push(
-        self, state: OnsetState, weight: np.ndarray, residual: np.ndarray, effectiveness: np.ndarray, steady: np.ndarray
+        self,
+        state: OnsetState,
+        thrust_shown: np.ndarray,
+        residual: np.ndarray,
+        effectiveness_matrix: np.ndarray,
+        steady: np.ndarray,
     ) -> OnsetState:
-        """Append one sample: w (m,) and y (n,); ``effectiveness`` (n, m) in accelerations, ``steady`` (m,) slow part of
-        w. The state's arrays are moved in place."""
-        for history in (
-            state.outer,
-            state.product,
-            state.squared,
-            state.doubtful,
-            state.weight,
-            state.residual,
-        ):
-            history[:-1] = history[1:]
-        np.multiply(weight[:, None], weight, out=state.outer[-1].reshape(self._motors, -1))
-        np.multiply(residual[:, None], weight, out=state.product[-1].reshape(self._axes, -1))
-        np.multiply(residual, residual, out=state.squared[-1])
-        beyond = effectiveness * (weight - steady)
-        together, single = beyond.sum(axis=1), (beyond * beyond).sum(axis=1)
-        state.weight[-1], state.residual[-1] = weight, residual
-        state.doubtful[-1] = TOGETHER_ERROR_SHARE**2 * together * together + SINGLE_ERROR_SHARE**2 * single
+        """Keep one sample: w (m,), y (n,), B0 (n, m) in accelerations and the slow part (m,) of w. What they amount to
+        is computed when it is asked for: most flights never ask."""
+        first = state.next
+        second = first + self.length
+        state.thrust_shown[first] = state.thrust_shown[second] = thrust_shown
+        state.steady[first] = state.steady[second] = steady
+        state.residual[first] = state.residual[second] = residual
+        state.effectiveness_matrix[first] = state.effectiveness_matrix[second] = effectiveness_matrix
+        state.next = (first + 1) % self.length
         return state
 
-    def sums(self, state: OnsetState, effectiveness: np.ndarray, variance: np.ndarray, yaw_error: float) -> OnsetSums:
-        """Statistics of all windows; ``effectiveness`` (n, m) in accelerations, ``variance`` (n,) of y in steady
+    def sums(
+        self, state: OnsetState, effectiveness_matrix: np.ndarray, variance: np.ndarray, yaw_error: float
+    ) -> OnsetSums:
+        """Statistics of all windows; ``effectiveness_matrix`` (n, m) in accelerations, ``variance`` (n,) of y in steady
         flight; ``yaw_error``: yaw torque not modelled, as a share of roll and pitch torque."""
+        n, m, b = self._axes, self._motors, effectiveness_matrix
+        last = slice(state.next, state.next + self.length)
+        w, y = state.thrust_shown[last], state.residual[last]
+        squared = y * y
+        total = self._total_variance(state, last, squared, variance, yaw_error)
+        noise_weight = self._dt / (CORRELATION_S * total)  # (n,)
+        weighted = b * noise_weight[:, None]
+        outer = self._squared.dot((w[:, :, None] * w[:, None, :]).reshape(-1, m * m))  # (K, m m)
+        product = self._response.dot((y[:, :, None] * w[:, None, :]).reshape(-1, n * m))  # (K, n m)
+        matrix = (outer * weighted.T.dot(b).ravel()).reshape(-1, m, m)
+        vector = (product * weighted.ravel()).reshape(-1, n, m).sum(axis=1)
+        sums = OnsetSums(matrix, vector, self._inside.dot(squared.dot(noise_weight)), self.age_s)
+        return self._marginal(sums, w, y, b, noise_weight, variance) if self._joint else sums
+
+    def _total_variance(
+        self, state: OnsetState, last: slice, squared: np.ndarray, variance: np.ndarray, yaw_error: float
+    ) -> np.ndarray:
+        """Variance (n,) of y by noise and by errors of the model. One for all windows: their improvements are then
+        likelihoods of the same data. ``squared`` (L, n) y^2."""
         error = self._error.copy()
         error[YAW, ROLL : PITCH + 1] = self._yaw_share * (YAW_ERROR_SHARE**2 + yaw_error**2)
-        n, m, b = self._axes, self._motors, effectiveness
-        energy = self._inside @ state.squared  # (K, n)
-        # One weight for all windows: their improvements are then likelihoods of the same data.
-        doubtful = ((self._inside @ state.doubtful) / self._counts[:, None]).max(axis=0)
-        total = variance + error @ (energy / self._counts[:, None]).max(axis=0) + doubtful
-        weight = self._dt / (CORRELATION_S * total)  # (n,)
-        gram = (b.T * weight) @ b
-        outer = (self._squared @ state.outer).reshape(-1, m, m)
-        product = (self._response @ state.product).reshape(-1, n, m)
-        matrix, vector = gram * outer, np.einsum("ai,kai->ki", weight[:, None] * b, product)
-        evidence = energy @ weight
-        if self._joint:
-            # phi a may be wrong by a constant in the window, of the residual's own variance: integrated out.
-            shift = self._joint**2 * variance
-            share = weight * shift * weight / (1.0 + self._counts[:, None] * weight * shift)  # (K, n)
-            moment = b * (self._response @ state.weight)[:, None, :]  # (K, n, m)
-            total_y = self._inside @ state.residual  # (K, n)
-            matrix = matrix - np.einsum("ka,kai,kaj->kij", share, moment, moment)
-            vector = vector - np.einsum("ka,kai,ka->ki", share, moment, total_y)
-            evidence = evidence - (share * total_y * total_y).sum(axis=1)
-        return OnsetSums(matrix, vector, evidence, self.age_s)
+        unsteady = state.thrust_shown[last] - state.steady[last]
+        beyond = state.effectiveness_matrix[last] * unsteady[:, None, :]
+        together, single = beyond.sum(axis=2), (beyond * beyond).sum(axis=2)
+        doubtful = TOGETHER_ERROR_SHARE**2 * together * together + SINGLE_ERROR_SHARE**2 * single
+        level, doubt = self._mean.dot(squared).max(axis=0), self._mean.dot(doubtful).max(axis=0)
+        return np.asarray(variance + error.dot(level) + doubt)
+
+    def _marginal(
+        self,
+        sums: OnsetSums,
+        thrust_shown: np.ndarray,
+        residual: np.ndarray,
+        effectiveness_matrix: np.ndarray,
+        noise_weight: np.ndarray,
+        variance: np.ndarray,
+    ) -> OnsetSums:
+        """phi a may be wrong by a constant in the window, of the residual's own variance: integrated out."""
+        shift = self._joint**2 * variance
+        share = noise_weight * shift * noise_weight / (1.0 + self._counts[:, None] * noise_weight * shift)  # (K, n)
+        moment = effectiveness_matrix * self._response.dot(thrust_shown)[:, None, :]  # (K, n, m)
+        total = self._inside.dot(residual)  # (K, n)
+        return OnsetSums(
+            sums.matrix - np.einsum("ka,kai,kaj->kij", share, moment, moment),
+            sums.vector - np.einsum("ka,kai,ka->ki", share, moment, total),
+            sums.energy - (share * total * total).sum(axis=1),
+            sums.age_s,
+        )

@@ -13,6 +13,8 @@ Rotors in wind drag sideways. The accelerometer measures the sum of it; each rot
 rotor that is lost, or pushes more than the others, turns the vehicle about its yaw axis. In 4 m/s that is more than
 its own drag torque: the yaw row of B0 follows the measured lateral specific force; which share of it acts at the
 rotors is learnt (disturbance.py).
+
+Products of small arrays are written ``a.dot(b)``: ``a @ b`` gives the same bits for three times the cost of the call.
 """
 
 from __future__ import annotations
@@ -26,42 +28,61 @@ from nff_companion.core.vehicle import YAW, Vehicle
 
 SMOOTHING_S = 0.008
 _IDLE = 0.02  # least thrust fraction of a rotor that turns
-_LATERAL_S = 0.15  # smoothing of the lateral specific force
+_LATERAL_S = 0.15  # slow smoothing of the lateral specific force
+
+Vector = tuple[float, float, float]
 
 
 @dataclass(slots=True)
 class ResidualState:
-    """State between samples. Arrays (m,) unless said otherwise."""
+    """State between samples. Arrays (m,) are of the motors, in thrust fractions."""
 
-    gyro: np.ndarray  # (3,) rad/s
+    gyro: list[float]  # (3,) rad/s
     up: float  # upward specific force, m/s^2
-    command: np.ndarray  # thrust fraction commanded
-    lagged: np.ndarray  # thrust fraction after the motor's lag
-    low_pass: np.ndarray  # (2, m)
-    sensor_low_pass: np.ndarray  # (2, 4) for a filter that only one of the two sensors has
-    shown: np.ndarray  # thrust fraction after the gyro filter
-    weight: np.ndarray  # w, after the whole chain
-    measured: np.ndarray  # (n,) accelerations after the smoothing
-    lateral: np.ndarray  # (2,) specific force along x and y, m/s^2, smoothed slowly
-    push: np.ndarray  # (2,) the same, after the smoothing of ``measured``
-    rate: np.ndarray  # (3,) body rates after the same smoothing
-    dt_s: float
+    command: np.ndarray  # (m,)
+    lagged: np.ndarray  # (m,) after the motor's lag
+    low_pass: tuple[np.ndarray, np.ndarray]  # (m,) each
+    sensor_low_pass: tuple[float, float]  # for a filter that only one of the two sensors has
+    filtered: np.ndarray  # (m,) after the gyro filter
+    thrust_shown: np.ndarray  # (m,) w, after the whole chain: as it shows in y
+    smoothed: np.ndarray  # (11,) what is measured, after its first-order lag: the four properties below
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(n,) x' - f(x): upward specific force, m/s^2, and angular accelerations, rad/s^2."""
+        return self.smoothed[:4]
+
+    @property
+    def lateral_m_s2(self) -> np.ndarray:
+        """(2,) specific force along x and y."""
+        return self.smoothed[4:6]
+
+    @property
+    def rate_rad_s(self) -> np.ndarray:
+        """(3,) body rates."""
+        return self.smoothed[6:9]
+
+    @property
+    def lateral_slow_m_s2(self) -> np.ndarray:
+        """(2,) specific force along x and y, smoothed for ``_LATERAL_S``."""
+        return self.smoothed[9:]
 
 
 class ResidualFilter:
     """Constants of one airframe at one sample time; ``step`` takes and returns the state."""
 
     def __init__(self, vehicle: Vehicle, dt_s: float) -> None:
-        self._inertia = vehicle.inertia_kg_m2
         motor, telemetry = vehicle.motor, vehicle.telemetry
-        self.dt_s = dt_s
         self._up, self._down = lag_share(dt_s, motor.time_constant_up_s), lag_share(dt_s, motor.time_constant_down_s)
+        # Of the two ways that the lag could go, up or down, the larger is the one taken where up is the faster.
+        self._way = np.maximum if self._up >= self._down else np.minimum
         gyro, accelerometer = telemetry.gyro_filter_hz, telemetry.accelerometer_filter_hz
         self.low_pass = LowPass.design(gyro, dt_s)
         # Where one sensor alone is filtered, the other is given the same filter here.
-        self._accelerometer_low_pass = LowPass.design(gyro, dt_s) if gyro and not accelerometer else None
+        self._sensor_low_pass = LowPass.design(gyro, dt_s) if gyro and not accelerometer else None
         self._smooth = lag_share(dt_s, SMOOTHING_S)
-        self._lateral = lag_share(dt_s, _LATERAL_S)
+        self._shares = np.array([self._smooth] * 9 + [lag_share(dt_s, _LATERAL_S)] * 2)
+        self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._nominal = vehicle.acceleration_effectiveness
         x, y = vehicle.position_m.T
         # (2, m) yaw acceleration per lateral specific force, were it all at one rotor
@@ -69,26 +90,19 @@ class ResidualFilter:
 
     def start(self, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray) -> ResidualState:
         """State as if the vehicle had flown like this for ever."""
-        up = -float(specific_force[2])
-        low_pass = self.low_pass.settled(command) if self.low_pass else np.zeros((2, len(command)))
-        sensor = np.zeros((2, 4))
-        if self._accelerometer_low_pass:
-            sensor[:, :1] = self._accelerometer_low_pass.settled(np.array([up]))
-        measured = np.array([up, 0.0, 0.0, 0.0])
+        p, q, r = gyro.tolist()
+        fx, fy, fz = specific_force.tolist()
+        nothing = np.zeros_like(command)
         return ResidualState(
-            gyro,
-            up,
-            command,
-            command,
-            low_pass,
-            sensor,
-            command,
-            command.copy(),
-            measured,
-            specific_force[:2],
-            specific_force[:2],
-            gyro,
-            self.dt_s,
+            gyro=[p, q, r],
+            up=-fz,
+            command=command,
+            lagged=command,
+            low_pass=self.low_pass.settled(command) if self.low_pass else (nothing, nothing),
+            sensor_low_pass=self._sensor_low_pass.settled(-fz) if self._sensor_low_pass else (0.0, 0.0),
+            filtered=command,
+            thrust_shown=command,
+            smoothed=np.array([-fz, 0.0, 0.0, 0.0, fx, fy, p, q, r, fx, fy]),
         )
 
     def side_drag(self, state: ResidualState) -> np.ndarray:
@@ -96,10 +110,10 @@ class ResidualFilter:
 
         A rotor's share of the drag goes with its speed, the root of its thrust.
         """
-        speed = np.sqrt(np.maximum(state.weight, _IDLE))
-        return (state.lateral @ self._side_drag) / (speed * speed.sum())
+        speed = np.sqrt(np.maximum(state.thrust_shown, _IDLE))
+        return state.lateral_slow_m_s2.dot(self._side_drag) / (speed * speed.sum())
 
-    def effectiveness(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:
+    def effectiveness_matrix(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:
         """B0 (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
         matrix = self._nominal.copy()
         matrix[YAW] += rotor_share * side_drag
@@ -112,35 +126,42 @@ class ResidualFilter:
 
         ``dt_s`` is the interval measured; filters are designed for the nominal one.
         """
-        held = 0.5 * (state.command + command)
-        lagged = state.lagged + np.where(held > state.lagged, self._up, self._down) * (held - state.lagged)
-        if self.low_pass is None:
-            low_pass, shown = state.low_pass, lagged
-        else:
-            low_pass, shown = self.low_pass.step(state.low_pass, lagged)
-        up, sensor = -float(specific_force[2]), state.sensor_low_pass
-        if self._accelerometer_low_pass is not None:
-            part, value = self._accelerometer_low_pass.step(sensor[:, :1], np.array([up]))
-            sensor = sensor.copy()
-            sensor[:, :1], up = part, float(value[0])
-        middle = 0.5 * (gyro + state.gyro)
-        j = self._inertia
-        p, q, r = float(middle[0]), float(middle[1]), float(middle[2])
-        slope = (gyro - state.gyro) / dt_s
-        # x' - f(x): Euler's equation without the rotors' torque
-        acceleration = np.array(
-            [
-                0.5 * (up + state.up),
-                slope[0] + q * r * (j[2] - j[1]) / j[0],
-                slope[1] + p * r * (j[0] - j[2]) / j[1],
-                slope[2] + p * q * (j[1] - j[0]) / j[2],
-            ]
-        )
-        weight = state.weight + self._smooth * (0.5 * (shown + state.shown) - state.weight)
-        measured = state.measured + self._smooth * (acceleration - state.measured)
-        lateral = state.lateral + self._lateral * (specific_force[:2] - state.lateral)
-        push = state.push + self._smooth * (specific_force[:2] - state.push)
-        rate = state.rate + self._smooth * (middle - state.rate)
+        ahead = 0.5 * (state.command + command) - state.lagged
+        lagged = state.lagged + self._way(self._up * ahead, self._down * ahead)
+        low_pass, filtered = state.low_pass, lagged
+        if self.low_pass is not None:
+            low_pass, filtered = self.low_pass.step(low_pass, lagged)
+        thrust_shown = state.thrust_shown
+        thrust_shown = thrust_shown + self._smooth * (0.5 * (filtered + state.filtered) - thrust_shown)
+
+        fx, fy, fz = specific_force.tolist()
+        up, sensor = -fz, state.sensor_low_pass
+        if self._sensor_low_pass is not None:
+            sensor, up = self._sensor_low_pass.step(sensor, up)
+        rates: list[float] = gyro.tolist()
+        acceleration, rate = self._turning(state.gyro, rates, dt_s)
+        now = np.array([0.5 * (up + state.up), *acceleration, fx, fy, *rate, fx, fy])
         return ResidualState(
-            gyro, up, command, lagged, low_pass, sensor, shown, weight, measured, lateral, push, rate, dt_s
+            gyro=rates,
+            up=up,
+            command=command,
+            lagged=lagged,
+            low_pass=low_pass,
+            sensor_low_pass=sensor,
+            filtered=filtered,
+            thrust_shown=thrust_shown,
+            smoothed=state.smoothed + self._shares * (now - state.smoothed),
         )
+
+    def _turning(self, before: list[float], now: list[float], dt_s: float) -> tuple[Vector, Vector]:
+        """Angular acceleration less what Euler's equation gives without the rotors' torque, and the rate, both in the
+        middle of two samples of the gyro."""
+        jx, jy, jz = self._inertia
+        (p0, q0, r0), (p1, q1, r1) = before, now
+        p, q, r = 0.5 * (p1 + p0), 0.5 * (q1 + q0), 0.5 * (r1 + r0)
+        acceleration = (
+            (p1 - p0) / dt_s + q * r * (jz - jy) / jx,
+            (q1 - q0) / dt_s + p * r * (jx - jz) / jy,
+            (r1 - r0) / dt_s + p * q * (jy - jx) / jz,
+        )
+        return acceleration, (p, q, r)

@@ -8,6 +8,7 @@ S and q are kept by recursion; dt keeps gamma independent of the rate. Exact act
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import daqp
@@ -36,17 +37,17 @@ def update(
     information: Information,
     regressor: np.ndarray,
     residual: np.ndarray,
-    weight: np.ndarray,
+    noise_weight: np.ndarray,
     dt_s: float,
     forgetting_per_s: float,
 ) -> Information:
-    """One sample: ``regressor`` B0 diag(w) (n, m), ``residual`` y (n,), ``weight`` diagonal of W (n,)."""
+    """One sample: ``regressor`` B0 diag(w) (n, m), ``residual`` y (n,), ``noise_weight`` diagonal of W (n,)."""
     keep = float(np.exp(-forgetting_per_s * dt_s))
-    weighted = regressor.T * weight
+    weighted = regressor.T * noise_weight
     return Information(
-        keep * information.matrix + dt_s * (weighted @ regressor),
-        keep * information.vector + dt_s * (weighted @ residual),
-        keep * information.energy + dt_s * float(residual @ (weight * residual)),
+        matrix=keep * information.matrix + dt_s * weighted.dot(regressor),
+        vector=keep * information.vector + dt_s * weighted.dot(residual),
+        energy=keep * information.energy + dt_s * float(residual.dot(noise_weight * residual)),
     )
 
 
@@ -56,20 +57,22 @@ def solve(information: Information, gamma: float, lower: np.ndarray | None = Non
     A motor without information (never driven) is left at 0: the l1 term alone decides it.
     """
     linear = information.vector + gamma
-    count = len(linear)
-    free = np.diagonal(information.matrix) > _TINY
-    e = np.zeros(count)
-    if not free.any():
+    values = linear.tolist()
+    if min(values) >= 0.0 and math.isfinite(sum(values)):
+        # The gradient at e = 0 is -(q + gamma 1): where it has no positive component, no e < 0 does better.
+        return np.zeros(len(linear))
+    free = np.flatnonzero(np.diagonal(information.matrix) > _TINY)
+    e, count = np.zeros(len(linear)), len(free)
+    if count == 0:
         return e
-    hessian = information.matrix[np.ix_(free, free)]
+    hessian = information.matrix[free[:, None], free]
     # S has rank n at constant u: a proximal term far below the data makes the program strictly convex.
-    hessian = hessian + np.eye(len(hessian)) * (1e-6 * float(np.trace(hessian)) + _TINY)
-    low = np.full(len(hessian), -1.0) if lower is None else lower[free]
-    high = np.zeros(len(hessian))
-    part, _, flag, _ = daqp.solve(hessian, -linear[free], np.zeros((0, len(hessian))), high, low)
-    if flag != 1 or not np.isfinite(part).all():
+    hessian.flat[:: count + 1] += 1e-6 * float(hessian.trace()) + _TINY
+    low, high = np.full(count, -1.0) if lower is None else lower[free], np.zeros(count)
+    part, _, flag, _ = daqp.solve(hessian, -linear[free], np.zeros((0, count)), high, low)
+    if flag != 1 or not math.isfinite(float(part.sum())):
         raise SolverError(f"sparse step: daqp ended with flag {flag}; the last estimate stays")
-    e[free] = np.clip(part, low, high)
+    e[free] = np.minimum(np.maximum(part, low), high)
     return e
 
 
@@ -79,7 +82,7 @@ def deviation(information: Information, prior: float = 1.0) -> np.ndarray:
     Given the others: at constant u the wrench has four axes for m motors, so that without the sparsity no motor
     could be known alone.
     """
-    return 1.0 / np.sqrt(np.maximum(np.diagonal(information.matrix), 0.0) + 1.0 / prior**2)
+    return np.asarray(1.0 / np.sqrt(np.maximum(information.matrix.diagonal(), 0.0) + 1.0 / prior**2))
 
 
 def shape(effectiveness: np.ndarray, full_at: float, none_below: float) -> np.ndarray:

@@ -34,7 +34,7 @@ class AdaptedMatrix:
 
     def step(self, state: AdaptedState, estimate: Estimate, dt_s: float) -> AdaptedState:
         """One sample."""
-        matrix = self._adaptation.step(state.matrix, estimate.weight, estimate.raw * self._unit, dt_s)
+        matrix = self._adaptation.step(state.matrix, estimate.thrust_shown, estimate.raw * self._unit, dt_s)
         return AdaptedState(matrix, state.last)
 
     def allocation(self, state: AdaptedState, fallback: np.ndarray) -> tuple[AdaptedState, np.ndarray]:

@@ -106,7 +106,7 @@ class ImmEstimator:
         """One sample."""
         filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
         failed = state.decision.failed
-        weight = np.where(failed, 0.0, filtered.weight)
+        weight = np.where(failed, 0.0, filtered.thrust_shown)
         residual = filtered.measured - self._matrix @ weight
         for index, one in enumerate(state.bank.filters):
             loss = np.zeros(self.vehicle.axes) if index == 0 else -self._matrix[:, index - 1] * weight[index - 1]
@@ -136,8 +136,8 @@ class ImmEstimator:
             residual=residual - slow,
             disturbance=slow,
             features=None,
-            weight=filtered.weight,
-            push=filtered.lateral,
+            thrust_shown=filtered.thrust_shown,
+            lateral_m_s2=filtered.lateral_slow_m_s2,
             best=None,
             events=events,
         )
