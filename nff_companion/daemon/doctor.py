@@ -82,6 +82,7 @@ class Doctor:
         target = (system, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._adapter, self._port = self._meeting.first(target, autopilot), port
         self._hub.set_system(system)
+        self._hub.adopt(system)
         request = interval(Stream(dialect.MAVLINK_MSG_ID_NFF_APPLIED, 20.0), target)
         self._hub.send(request, port, time.monotonic())
 

@@ -180,6 +180,7 @@ class Daemon:
             return False
         self._adapter, self._port, self._heartbeat = adapter, port, heartbeat
         self._hub.set_system(system)
+        self._hub.adopt(system)
         self._parameters.adopt(system)
         log.info("autopilot found: system %d, adapter %s", system, adapter.name)
         # An autopilot that knows our dialect obeys this, every other refuses it.
