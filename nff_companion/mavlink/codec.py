@@ -31,6 +31,7 @@ _CHECKSUM, _SIGNATURE = 2, 13
 _OVERHEAD_V2 = _HEADER_V2 + _CHECKSUM
 _LONGEST = _OVERHEAD_V2 + 255 + _SIGNATURE
 _SIGNED = 0x01
+_TRIES = 256  # false headers in a row after which a datagram is given up: they cost more time than frames
 _START = re.compile(b"[\xfd\xfe]")
 
 
@@ -109,13 +110,18 @@ class Codec:
     def _scan(self, data: bytes, *, last: bool) -> list[Message]:
         """Messages within ``data``; a frame that has begun at its end is kept, unless that is the ``last`` of it."""
         out: list[Message] = []
-        at, end = 0, len(data)
+        at, end, tries = 0, len(data), _TRIES
         while at < end:
             if data[at] != _V2 and data[at] != _V1:
                 header = _START.search(data, at)
                 start, at = at, end if header is None else header.start()
                 self._bad(start, at)
                 continue
+            if last and tries == 0:
+                self._bad(at, end)
+                at = end
+                break
+            tries -= 1
             size, known = _header(data, at)
             whole = size <= end - at
             if known and not whole and not last:
@@ -129,7 +135,7 @@ class Codec:
                 message = self._decode(data[at : at + size])
                 if message is not None:
                     out.append(message)
-                    at, self._counted = at + size, 0
+                    at, self._counted, tries = at + size, 0, _TRIES
                     continue
                 self._bad(at, at + size, whole=True)
             at += 1
@@ -148,7 +154,7 @@ class Codec:
             message = self._mav.decode(bytearray(frame))
         except (dialect.MAVError, struct.error):
             return None
-        return message if message.get_msgId() >= 0 else None
+        return None if type(message) is dialect.MAVLink_unknown else message
 
 
 def _header(data: bytes, at: int) -> tuple[int, bool]:

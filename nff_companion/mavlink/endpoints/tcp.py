@@ -9,6 +9,7 @@ from nff_companion.errors import EndpointError
 from nff_companion.mavlink.send_queue import SendQueue
 from nff_companion.mavlink.urls import Url
 
+_AT_ONCE = 4096  # bytes of one read: garbage that takes long to parse must leave the loop its turn
 _CONNECT_TIMEOUT_S = 0.5  # well below the watchdog: connecting blocks the loop
 
 
@@ -54,7 +55,7 @@ class Tcp:
     def receive(self) -> list[tuple[bytes, tuple[str, int] | None]]:
         """Bytes that have arrived."""
         try:
-            data = self._socket.recv(65536)
+            data = self._socket.recv(_AT_ONCE)
         except BlockingIOError:
             return []
         except OSError as error:

@@ -9,6 +9,8 @@ from nff_companion.errors import EndpointError
 from nff_companion.mavlink.send_queue import SendQueue
 from nff_companion.mavlink.urls import Url
 
+_AT_ONCE = 4096  # bytes of one read: garbage that takes long to parse must leave the loop its turn
+
 
 class TcpServer:
     """Listens; the newest client is the peer. Its descriptor is that of a poll set of listener and client."""
@@ -45,7 +47,7 @@ class TcpServer:
         if self._client is None:
             return []
         try:
-            data = self._client.recv(65536)
+            data = self._client.recv(_AT_ONCE)
         except BlockingIOError:
             return []
         except OSError:

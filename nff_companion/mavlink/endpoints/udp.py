@@ -8,7 +8,7 @@ from nff_companion.errors import EndpointError
 from nff_companion.mavlink.urls import Url
 
 _LARGEST = 65535
-_AT_ONCE = 256  # datagrams of one read: a flood must leave the loop its turn
+_AT_ONCE = 64  # datagrams of one read: a flood must leave the loop its turn
 
 
 class Udp:
