@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import logging
 import select
@@ -57,7 +56,7 @@ class Daemon:
         self._adopted = False
         self._output: Output | None = None
         self._streams = StreamMonitor()
-        self._sync = TimeSync()
+        self._sync = TimeSync(config.link.component)
         self._text = PilotText()
         self._parameters = ParameterServer(self.pipeline, config.link.component, self._set_mode, self._lift)
         self.reporter = Reporter(self.vehicle, self.pipeline)
@@ -94,15 +93,7 @@ class Daemon:
                 for message, port in self._hub.read(descriptor, self._clock()):
                     self._take(message, port)
             elif descriptor == self._status.fileno():
-                self._status.accept()
-                for connection in self._status.connections():
-                    self._poll.register(connection.fileno(), select.POLLIN)
-            else:
-                with contextlib.suppress(KeyError):  # an endpoint that was dropped a moment ago
-                    self._poll.unregister(descriptor)  # a request, or a connection that is gone
-                for connection in list(self._status.connections()):
-                    if connection.fileno() == descriptor:
-                        self._status.serve(connection)
+                self._status.serve()
         self._periodic(self._clock())
 
     def _take(self, message: Message, port: int) -> None:
@@ -181,6 +172,7 @@ class Daemon:
         self._adapter, self._port, self._heartbeat = adapter, port, heartbeat
         self._hub.set_system(system)
         self._hub.adopt(system)
+        self._sync.adopt(system)
         self._parameters.adopt(system)
         log.info("autopilot found: system %d, adapter %s", system, adapter.name)
         # An autopilot that knows our dialect obeys this, every other refuses it.
