@@ -174,7 +174,7 @@ def test_a_ground_station_on_a_port_of_its_own_is_answered_there() -> None:
     ground.close()
 
 
-def test_ten_thousand_strangers_leave_nothing_behind(net: Net) -> None:
+def test_a_hundred_strangers_leave_nothing_behind(net: Net) -> None:
     vehicle = net.sender(1)
     vehicle.say()
     net.take()
@@ -208,6 +208,21 @@ def count_of(hub: Hub) -> int:
 def vars_of(item: object) -> list[object]:
     names = [*getattr(item, "__slots__", ()), *getattr(item, "__dict__", {})]
     return [getattr(item, name) for name in names]
+
+
+def test_the_half_frame_of_a_client_that_left_does_not_touch_the_next_one() -> None:
+    poll, port = select.poll(), free_port()
+    hub = Hub([f"tcpin:127.0.0.1:{port}"], 1, 191, poll, 0.0)
+    frame = Codec(1, 1).pack(HEARTBEAT)
+    heard = []
+    for data in (frame + frame[:-5], frame):
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            client.sendall(data)
+            while poll.poll(50):
+                heard += hub.read(hub._ports[0].descriptor, 0.0)
+    assert len(heard) == 2
+    assert hub.bad_frames == 0
+    hub.close()
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

@@ -100,6 +100,22 @@ def test_a_daemon_that_ends_does_not_remove_the_socket_of_its_successor(make: Ma
     assert (tmp_path / "s").is_socket()
 
 
+def test_folders_that_are_made_for_it_can_be_entered(make: Make, tmp_path: Path) -> None:
+    make(tmp_path / "new" / "deep" / "s")
+    assert all(stat.S_IMODE((tmp_path / name).stat().st_mode) & 0o500 == 0o500 for name in ("new", "new/deep"))
+
+
+def test_a_file_that_was_put_in_the_sockets_place_gives_no_rights(make: Make, tmp_path: Path) -> None:
+    server = make(peer_of=lambda _: Peer(1000, 1000, ()))
+    with client(tmp_path / "s") as monitor:
+        (tmp_path / "s").unlink()
+        (tmp_path / "s").write_text("")
+        os.chown(tmp_path / "s", -1, 1000)
+        monitor.sendall(b'{"command": "lift", "motor": 1}\n')
+        serve(server, 3)
+        assert "refused" in json.loads(monitor.recv(4096))["error"]
+
+
 # -- who may command --------------------------------------------------------------------------------------------------
 
 

@@ -6,6 +6,7 @@ that owns the socket, which is the daemon's primary group (``Group=`` of the sys
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -66,11 +67,14 @@ class StatusServer:
         self._path, self._handler, self._peer_of = Path(path), handler, peer_of
         self._clients: dict[int, _Client] = {}
         _make_way(self._path)
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EndpointError(f"folder of status socket {path} cannot be made: {error.strerror}") from error
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         # By the mask, not by chmod afterwards: that would follow what somebody puts there in between.
         mask = os.umask(0o777 & ~_OPEN_TO_ALL)
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o755)
             self._socket.bind(path)
             self._mine = _identity(self._path)
         except OSError as error:
@@ -151,13 +155,15 @@ class StatusServer:
 
     def _send(self, client: _Client) -> bool:
         """Send what the connection takes of the answer; True when nothing is left."""
-        try:
+        with contextlib.suppress(BlockingIOError):
             client.answer = client.answer[client.socket.send(client.answer) :]
-        except BlockingIOError:
-            return False
         if client.answer:
             self._poll.modify(client.socket.fileno(), select.EPOLLOUT)
         return not client.answer
+
+    def _group(self) -> int:
+        """The group that owns the socket; ours, when something else is at its place."""
+        return self._path.lstat().st_gid if _identity(self._path) == self._mine else os.getegid()
 
     def _answer(self, line: bytes, peer: Peer) -> dict[str, Any]:
         try:
@@ -168,7 +174,7 @@ class StatusServer:
             return {"error": "request is not an object"}
         command = request.get("command", "status")
         if command != "status":
-            group = self._path.lstat().st_gid
+            group = self._group()
             if not may_command(peer, os.geteuid(), group):
                 return {
                     "error": f"command {command!r} is refused: uid {peer.uid} is neither root nor the daemon's user "

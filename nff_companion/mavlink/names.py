@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import threading
 
@@ -11,8 +12,8 @@ from nff_companion.errors import EndpointError
 def literal(host: str) -> bool:
     """Whether ``host`` is an IPv4 address and needs no look-up."""
     try:
-        socket.inet_aton(host)
-    except OSError:
+        ipaddress.IPv4Address(host)
+    except ValueError:
         return False
     return True
 
