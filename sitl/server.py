@@ -120,7 +120,8 @@ class Server:
     def _listen(self) -> None:
         now = self.fleet.time_s
         for client in self._clients:
-            for data in client.endpoint.receive():
+            for data, sender in client.endpoint.receive():
+                client.endpoint.answer(sender)
                 client.up.send(now, data)
             for data in client.up.receive(now):
                 for message in client.codec.parse(data):
