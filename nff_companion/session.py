@@ -7,10 +7,11 @@ what is due between samples in ``due``. Times ``now_s`` are of one monotonic clo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.announcer import Announcer
 from nff_companion.autopilots import schedule

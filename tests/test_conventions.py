@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import pty
 import select
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from nff_companion.companion import Companion
 from nff_companion.companion_state import CompanionOptions, Orders
@@ -391,9 +391,9 @@ def test_the_daemon_introduces_itself_and_falls_silent_when_its_estimator_fails(
         assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats[1:]} == {(3, 191)}, "the vehicle's system"
         assert beats[-1].type == dialect.MAV_TYPE_ONBOARD_CONTROLLER
         session = there.daemon.session
-        session.state = dataclasses.replace(session.state, fault=True)
+        session.state = replace(session.state, fault=True)
         assert not [m for m in there.hear(3.0) if m.get_type() == "HEARTBEAT"]
-        session.state = dataclasses.replace(session.state, fault=False)
+        session.state = replace(session.state, fault=False)
         assert [m for m in there.hear(2.0) if m.get_type() == "HEARTBEAT"]
 
 
