@@ -1,0 +1,83 @@
+"""Every number that decides whether a vehicle is re-mixed in flight: one table, each with unit, range and reason.
+
+A configuration file sets them as ``[tuning.decision] explained_min = 0.8``; docs/tuning.md is made of this table by
+``python -m nff_companion.core.tuning``. Structs made in code (by trials) are not checked; ``check`` is for what comes
+from outside. Physical constants and guards of rounding stay where they are used.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from nff_companion.core.tuning.action import (
+    CompanionTuning,
+    FlightPhaseTuning,
+    LawTuning,
+    OverrideTuning,
+    PlannerTuning,
+)
+from nff_companion.core.tuning.decision import DecisionTuning, EstimatorTuning, OnsetTuning, RotorSpeedTuning
+from nff_companion.core.tuning.estimation import (
+    AdaptationTuning,
+    DisturbanceTuning,
+    FullMatrixTuning,
+    NetworkTuning,
+    ResidualTuning,
+    SparseTuning,
+)
+from nff_companion.core.tuning.relations import check_relations
+from nff_companion.core.tuning.span import check_fields
+
+__all__ = [
+    "AdaptationTuning",
+    "CompanionTuning",
+    "DecisionTuning",
+    "DisturbanceTuning",
+    "EstimatorTuning",
+    "FlightPhaseTuning",
+    "FullMatrixTuning",
+    "LawTuning",
+    "NetworkTuning",
+    "OnsetTuning",
+    "OverrideTuning",
+    "PlannerTuning",
+    "ResidualTuning",
+    "RotorSpeedTuning",
+    "SparseTuning",
+    "Tuning",
+    "check",
+]
+
+
+class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All of it; one set for all airframes (losses and noises are scaled by the airframe)."""
+
+    residual: ResidualTuning = ResidualTuning()
+    disturbance: DisturbanceTuning = DisturbanceTuning()
+    adaptation: AdaptationTuning = AdaptationTuning()
+    network: NetworkTuning = NetworkTuning()
+    sparse: SparseTuning = SparseTuning()
+    onset: OnsetTuning = OnsetTuning()
+    decision: DecisionTuning = DecisionTuning()
+    estimator: EstimatorTuning = EstimatorTuning()
+    rotor_speed: RotorSpeedTuning = RotorSpeedTuning()
+    full_matrix: FullMatrixTuning = FullMatrixTuning()
+    flight_phase: FlightPhaseTuning = FlightPhaseTuning()
+    planner: PlannerTuning = PlannerTuning()
+    override: OverrideTuning = OverrideTuning()
+    law: LawTuning = LawTuning()
+    companion: CompanionTuning = CompanionTuning()
+
+    def having(self, subject: str, **changes: Any) -> Tuning:
+        """The same with some fields of one subject changed, unchecked: ``having("decision", explained_min=0.8)``."""
+        changed = msgspec.structs.replace(getattr(self, subject), **changes)
+        return msgspec.structs.replace(self, **{subject: changed})
+
+
+def check(tuning: Tuning) -> None:
+    """Raises ConfigError naming key, value and what is allowed where a number is of the wrong type, not finite, out of
+    range, or at odds with another one."""
+    check_fields(tuning, "tuning")
+    check_relations(tuning)
