@@ -6,10 +6,11 @@ virtual time. ``step`` is the only owner of what is believed; states are passed 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import replace as replaced
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
@@ -237,7 +238,7 @@ class Companion:
         if before is None:
             before = self._estimator.start(sample.time_s, gyro, force, command, state.failed)
         elif before.decision.failed is not state.failed:
-            before = replace(before, decision=replace(before.decision, failed=state.failed))
+            before = replaced(before, decision=replaced(before.decision, failed=state.failed))
         plan = state.planning.plan or self._planner.healthy
         return self._estimator.step(
             before,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 
 from nff_companion.core.vehicle import TelemetryTable
@@ -115,22 +116,23 @@ class Source(IntEnum):
     OVERRIDE = 3
 
 
-@dataclass(frozen=True, slots=True)
-class InForce:
+class InForce(msgspec.Struct, frozen=True, eq=False):
     """What the autopilot says it has in force. ``failed`` (m,) bool, read-only; None: it has not said."""
 
     source: Source = Source.STOCK
     failed: np.ndarray | None = None
     yaw_released: bool = False
-    refused: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    refused: Mapping[str, int] = msgspec.field(default_factory=lambda: MappingProxyType({}))
 
     def holds(self, failed: np.ndarray) -> bool:
         """Whether exactly the motors ``failed`` (m,) bool are held failed."""
         return self.failed is not None and bool((self.failed == failed).all())
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+_NOTHING = InForce()
+
+
+class Condition(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """The autopilot and the link to it at one moment, as the adapter and the session see them."""
 
     armed: bool | None = None  # None: not heard
@@ -139,7 +141,7 @@ class Condition:
     drive: Statement | None = None  # why motor outputs may not be sent though commands may
     untold: Statement | None = None  # why what was decided could not be told
     takes_matrix: bool = False
-    in_force: InForce = InForce()
+    in_force: InForce = _NOTHING
     telemetry: TelemetryTable | None = None  # filters of what it sends; None: as the airframe file says
     notes: tuple[Statement, ...] = ()  # what the pilot should hear beside all that
     unfinished: bool = False  # something of ours must be undone or confirmed before leaving

@@ -7,10 +7,11 @@ what is due between samples in ``due``. Times ``now_s`` are of one monotonic clo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.announcer import Announcer
 from nff_companion.autopilots import schedule
@@ -87,7 +88,8 @@ class Session:
         self._rate = Agreement(options.rate_hz)
         self._condition = _NOTHING
         self._twins = Twins(meeting.instance, now_s)
-        self._streams, self._sync, self._announcer = StreamMonitor(), TimeSync(), Announcer()
+        self._streams, self._announcer = StreamMonitor(), Announcer()
+        self._sync = TimeSync(options.component)
         self._parameters = ParameterServer(
             settings(
                 companion.vehicle.motors,
@@ -337,6 +339,7 @@ class Session:
             return
         self._port, self._port_heard_s = port, now_s
         self._parameters.adopt(adapter.target[0])
+        self._sync.adopt(adapter.target[0])
         agreed = _sample_rate(adapter.streams(self._options.rate_hz), self._options.rate_hz)
         self._rate = Agreement(agreed)
         if not self.state.watching and agreed != self._companion.rate_hz:

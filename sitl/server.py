@@ -27,6 +27,7 @@ _DEFAULT_HZ = {
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
     dialect.MAVLINK_MSG_ID_ATTITUDE: 10.0,
+    dialect.MAVLINK_MSG_ID_NFF_APPLIED: 20.0,  # without being asked: by it an autopilot shows that it knows our dialect
 }
 _LAG_MAX_S = 0.25  # a machine slower than this loses time instead of running behind for ever
 
@@ -120,7 +121,8 @@ class Server:
     def _listen(self) -> None:
         now = self.fleet.time_s
         for client in self._clients:
-            for data in client.endpoint.receive():
+            for data, sender in client.endpoint.receive():
+                client.endpoint.answer(sender)
                 client.up.send(now, data)
             for data in client.up.receive(now):
                 for message in client.codec.parse(data):
@@ -146,6 +148,10 @@ class Server:
     def _take(self, client: _Client, message: Message) -> None:
         if self._on_message is not None:
             self._on_message(message, self.fleet.time_s)
+        if message.get_type() == "HEARTBEAT":
+            for other in self._clients:  # as autopilots do between their links
+                if other is not client:
+                    other.down.send(self.fleet.time_s, bytes(message.get_msgbuf()))
         target = getattr(message, "target_system", self._commander.system)
         if target not in (0, self._commander.system):
             return

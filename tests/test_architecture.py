@@ -1,31 +1,67 @@
-"""Arrows point one way: who may import whom."""
+"""Arrows point one way: who may import whom, who runs the loop, who makes commands."""
 
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+GENERATED = "nff.py"
 PURE = ("core", "allocation", "control")
+PURE_FILES = ("admission.py", "companion.py", "companion_state.py", "condition.py", "verdict.py")
 IMPURE = {
-    "socket",
-    "select",
-    "time",
-    "os",
     "asyncio",
-    "threading",
-    "subprocess",
     "multiprocessing",
+    "os",
     "pymavlink",
+    "select",
     "serial",
+    "socket",
+    "subprocess",
+    "threading",
+    "time",
 }
+# The rooms of the package from the ground up: each may use those before it.
+FLOORS = (
+    {"errors"},
+    {"core", "mavlink"},
+    {"condition"},
+    {"allocation"},
+    {"control"},
+    {"admission", "companion_state"},
+    {"companion"},
+    {"autopilots"},
+    {"verdict", "announcer", "settings"},
+    {"reporting"},
+    {"session"},
+    {"daemon", "replay", "training"},
+    {"cli"},
+)
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.
-SITL_MAY_IMPORT = ("nff_companion.mavlink", "nff_companion.errors")
+PLANT_MAY_IMPORT = ("nff_companion.mavlink", "nff_companion.errors")
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def files(folder: str) -> list[Path]:
+    out = [p for p in sorted((ROOT / folder).rglob("*.py")) if p.name != GENERATED]
+    assert out
+    return out
+
+
+MODULES = {module_of(path): path for folder in ("nff_companion", "sitl") for path in files(folder)}
 
 
 def imports(path: Path) -> set[str]:
+    """Names of everything imported, modules and what is taken from them."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -36,50 +72,133 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def files(folder: str) -> list[Path]:
-    out = [p for p in sorted((ROOT / folder).rglob("*.py")) if p.name != "nff.py"]
-    assert out
-    return out
+def needs(module: str) -> set[str]:
+    """Modules of this project that ``module`` imports, anywhere in it; not the package where one of its modules is."""
+    named = {name for name in imports(MODULES[module]) if name in MODULES and name != module}
+    return {name for name in named if not any(other.startswith(f"{name}.") for other in named)}
 
 
-PLANT = [p for p in files("sitl") if "trials" not in p.parts]
+def room(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else ""
 
 
-@pytest.mark.parametrize("path", PLANT, ids=lambda p: str(p.relative_to(ROOT)))
-def test_sitl_never_imports_the_companions_model(path: Path) -> None:
-    taken = {name for name in imports(path) if name.startswith("nff_companion.")}
-    assert {name for name in taken if not name.startswith(SITL_MAY_IMPORT)} == set()
+def test_no_module_comes_back_to_itself() -> None:
+    order = list(TopologicalSorter({module: needs(module) for module in MODULES}).static_order())
+    assert set(order) == set(MODULES)
+
+
+def test_no_package_comes_back_to_itself() -> None:
+    packages: dict[str, set[str]] = {}
+    for module in MODULES:
+        if not module.startswith("nff_companion."):
+            continue
+        mine = packages.setdefault(room(module), set())
+        mine |= {room(other) for other in needs(module) if other.startswith("nff_companion.")}
+        mine -= {room(module), ""}
+    order = list(TopologicalSorter(packages).static_order())
+    assert {"core", "session", "cli"} <= set(order)
+
+
+def test_each_floor_stands_on_the_floors_below() -> None:
+    level = {name: k for k, names in enumerate(FLOORS) for name in names}
+    for module in MODULES:
+        mine = room(module)
+        if not module.startswith("nff_companion.") or not mine:
+            continue
+        assert mine in level, f"{module}: on which floor is it?"
+        for other in needs(module):
+            if other.startswith("nff_companion.") and room(other) not in (mine, ""):
+                assert level[room(other)] < level[mine], f"{module} uses {other}"
 
 
 @pytest.mark.parametrize(
-    "path", [p for room in PURE for p in files(f"nff_companion/{room}")], ids=lambda p: str(p.relative_to(ROOT))
+    "path",
+    [p for folder in PURE for p in files(f"nff_companion/{folder}")]
+    + [ROOT / "nff_companion" / name for name in PURE_FILES],
+    ids=lambda p: str(p.relative_to(ROOT)),
 )
 def test_pure_rooms_import_no_mavlink_socket_or_clock(path: Path) -> None:
     names = imports(path)
     assert {n for n in names if n.split(".")[0] in IMPURE} == set()
-    rim = ("mavlink", "autopilots", "daemon", "cli", "replay", "session", "reporting", "training")
-    assert {n for n in names if n.startswith(tuple(f"nff_companion.{r}" for r in rim)) or n.startswith("sitl")} == set()
+    assert {n for n in names if n.startswith(("nff_companion.mavlink", "sitl"))} == set()
 
 
-@pytest.mark.parametrize("name", ["pipeline.py"])
-def test_the_pipeline_knows_no_socket_and_no_clock(name: str) -> None:
-    names = imports(ROOT / "nff_companion" / name)
-    assert {n for n in names if n.split(".")[0] in IMPURE} == set()
-    assert {n for n in names if n.startswith(("nff_companion.mavlink", "nff_companion.autopilots", "sitl"))} == set()
+@pytest.mark.parametrize("name", ["session.py", "reporting.py", "announcer.py", "settings.py"])
+def test_the_session_knows_messages_but_no_socket_and_no_clock(name: str) -> None:
+    assert {n for n in imports(ROOT / "nff_companion" / name) if n.split(".")[0] in IMPURE} == set()
 
 
 @pytest.mark.parametrize(
-    "room", ["mavlink", "autopilots", "core", "allocation", "control", "training", "replay", "daemon"]
+    "path", [p for p in files("sitl") if "trials" not in p.parts], ids=lambda p: str(p.relative_to(ROOT))
 )
-def test_only_trials_and_commands_know_the_emulated_vehicle(room: str) -> None:
-    for path in files(f"nff_companion/{room}"):
-        assert not {n for n in imports(path) if n.split(".")[0] == "sitl"}, path
+def test_the_plant_never_imports_the_companions_model(path: Path) -> None:
+    taken = {name for name in imports(path) if name.startswith("nff_companion.")}
+    assert {name for name in taken if not name.startswith(PLANT_MAY_IMPORT)} == set()
+
+
+def test_only_commands_know_the_emulated_vehicle() -> None:
+    for module, path in MODULES.items():
+        if module.startswith("nff_companion") and room(module) != "cli":
+            assert not {n for n in imports(path) if n.split(".")[0] == "sitl"}, module
+
+
+# -- one loop, one schedule, one owner ----------------------------------------------------------------------------
+
+
+def calls(path: Path, name: str) -> int:
+    """How often something called ``name`` is called in a file, as a method or by its name."""
+    count = 0
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            called = node.func
+            count += isinstance(called, ast.Attribute) and called.attr == name
+            count += isinstance(called, ast.Name) and called.id == name
+    return count
+
+
+def test_one_place_gives_messages_to_an_adapter_and_one_steps_the_companion_live() -> None:
+    """Adoption gives the first heartbeat; logs are no live link."""
+    observing = {m for m, p in MODULES.items() if "adapter.observe(" in p.read_text(encoding="utf-8")}
+    assert observing == {"nff_companion.session", "nff_companion.autopilots.adoption", "sitl.trials.virtual"}
+    responding = {m for m, p in MODULES.items() if calls(p, "respond")}
+    assert responding == {"nff_companion.session"}
+
+
+@pytest.mark.parametrize("command", ["Declare", "Load", "Release"])
+def test_one_place_decides_what_is_told_and_when(command: str) -> None:
+    assert {m for m, p in MODULES.items() if calls(p, command)} == {"nff_companion.autopilots.schedule"}
+
+
+def test_outputs_are_driven_from_the_session_alone() -> None:
+    assert {m for m, p in MODULES.items() if calls(p, "Drive")} == {"nff_companion.session"}
+
+
+def test_commands_are_encoded_for_the_session_alone() -> None:
+    encoding = {m for m, p in MODULES.items() if "adapter.encode(" in p.read_text(encoding="utf-8")}
+    assert encoding == {"nff_companion.session"}
+
+
+def test_an_adapter_has_at_most_nine_members() -> None:
+    tree = ast.parse((ROOT / "nff_companion" / "autopilots" / "base.py").read_text(encoding="utf-8"))
+    adapter = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Adapter")
+    members = [node for node in adapter.body if isinstance(node, ast.FunctionDef | ast.AnnAssign)]
+    assert 5 <= len(members) <= 9
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if room(m) in {r for floor in FLOORS[:11] for r in floor}])
+def test_nothing_in_the_flying_code_compares_a_text_that_people_read(module: str) -> None:
+    """A text with a space is for people; and nobody asks what ``text`` says."""
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Compare):
+            continue
+        for part in (node.left, *node.comparators):
+            spoken = isinstance(part, ast.Constant) and isinstance(part.value, str) and " " in part.value.strip()
+            read = isinstance(part, ast.Attribute) and part.attr in ("text", "detail", "note")
+            assert not (spoken or read), f"{module}:{node.lineno}"
 
 
 def test_the_daemon_loads_neither_training_nor_plotting_nor_peers() -> None:
-    import subprocess
-    import sys
-
     code = (
         "import sys, nff_companion.cli.main, nff_companion.daemon.service; "
         "print([m for m in ('torch', 'filterpy', 'plotly', 'matplotlib', 'scipy', 'sitl') if m in sys.modules])"

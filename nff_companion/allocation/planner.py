@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
@@ -27,8 +27,7 @@ class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     double_within_s: float = 0.5  # two declarations within this time are a double failure
 
 
-@dataclass(frozen=True, slots=True)
-class PlannerState:
+class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """``plan``: the matrix that should be in force, None: the autopilot's own. Times of the autopilot's clock."""
 
     planned_for: np.ndarray  # (m,) effectiveness; NaN: not yet solved

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import times
@@ -52,8 +54,7 @@ class Release:
 Command = Declare | Load | Drive | Release
 
 
-@dataclass(frozen=True, slots=True)
-class ScheduleState:
+class ScheduleState(msgspec.Struct, frozen=True, eq=False):
     """What was told last, by the autopilot's clock. ``word``: the operator's, told in every mode until confirmed."""
 
     told: np.ndarray  # (m,) bool, of the last declaration
@@ -82,7 +83,8 @@ def steps(
     """What is due after ``output``; ``time_s`` by the autopilot's clock: of the sample, or a guess where none comes."""
     commands: list[Command] = []
     acting = output.mode != Mode.OBSERVE
-    state = replace(state, word=state.word and not condition.in_force.holds(output.failed))
+    if state.word and condition.in_force.holds(output.failed):
+        state = replace(state, word=False)
     if state.word or (acting and output.flying):
         state, told = _declare(state, output, condition, time_s)
         commands += told
@@ -103,8 +105,7 @@ def _declare(
     state: ScheduleState, output: Output, condition: Condition, time_s: float
 ) -> tuple[ScheduleState, list[Command]]:
     """The declaration, when it changed, or is not yet confirmed."""
-    believed = output.believed
-    changed = bool((output.failed != state.told).any())
+    changed = output.failed is not state.told and bool((output.failed != state.told).any())
     waited = time_s - state.told_s
     unconfirmed = (
         not condition.in_force.holds(output.failed) and not 0.0 <= waited < times.DECLARATION_INTERVAL_S - _JITTER_S
@@ -112,10 +113,11 @@ def _declare(
     weakened = (
         not condition.takes_matrix
         and not 0.0 <= waited < _CHANGE_INTERVAL_S - _JITTER_S
-        and float(np.abs(believed - state.effectiveness).max()) >= _CHANGE_MIN
+        and float(np.abs(output.believed - state.effectiveness).max()) >= _CHANGE_MIN
     )
     if not (changed or unconfirmed or weakened):
         return state, []
+    believed = output.believed
     # An autopilot that holds the same by itself (none failed, at the start of a flight) was told nothing.
     new = changed or weakened or not np.isfinite(state.since_s)
     state = replace(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from nff_companion.allocation.within_bounds import constrain, desaturate
@@ -16,12 +16,11 @@ from nff_companion.core.vehicle import Vehicle
 _SERVED = 1e-6  # of an axis' torque: less than this missing is no saturation
 
 
-@dataclass(frozen=True, slots=True)
-class OverrideState:
+class OverrideState(msgspec.Struct, frozen=True, eq=False):
     """The reference held, None: nothing is followed yet; and what the law remembers."""
 
     hold: Reference | None = None
-    memory: Memory = field(default_factory=Memory.empty)
+    memory: Memory = msgspec.field(default_factory=Memory.empty)
 
 
 class OverrideLoop:

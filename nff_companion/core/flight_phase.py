@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import msgspec
 import numpy as np
 
@@ -27,8 +25,7 @@ class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     impact_below_m: float = 3.0  # above the ground: higher up there is nothing to stand on
 
 
-@dataclass(frozen=True, slots=True)
-class FlightPhaseState:
+class FlightPhaseState(msgspec.Struct, frozen=True, kw_only=True):
     """What is known of the flight. Heights in m above where the position counts from; None: not known."""
 
     flying: bool = False

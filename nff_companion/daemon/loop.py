@@ -31,13 +31,16 @@ class Loop:
                 continue
             for message, port in self.hub.read(descriptor, self.clock()):
                 began, before = time.perf_counter(), session.reporter.counters.samples
-                self.send(session.take(message, port, self.clock()))
+                outgoing = session.take(message, port, self.clock())
+                self._follow(session)
+                self.send(outgoing)
                 if session.reporter.counters.samples != before:
                     session.reporter.took(time.perf_counter() - began)
         now = self.clock()
-        self._follow(session)
         self._count(session)
-        self.send(session.due(now))
+        outgoing = session.due(now)
+        self._follow(session)
+        self.send(outgoing)
         self.hub.maintain(now)
 
     def send(self, outgoing: Iterable[Outgoing]) -> None:
@@ -51,11 +54,15 @@ class Loop:
         self.hub.close()
 
     def _follow(self, session: Session) -> None:
-        """Speak as the vehicle's system, from when it is adopted."""
-        if session.system is not None and session.system != self._system:
-            self._system = session.system
+        """Speak as the vehicle's system, and to it, from when it is adopted."""
+        if session.system == self._system:
+            return
+        self._system = session.system
+        self.hub.adopt(session.system)
+        if session.system is not None:
             self.hub.set_system(session.system)
 
     def _count(self, session: Session) -> None:
         counters = session.reporter.counters
         counters.bad_frames, counters.unsendable = self.hub.bad_frames, self.hub.unsendable
+        counters.dropped = self.hub.dropped

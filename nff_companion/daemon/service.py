@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import logging
 import select
@@ -89,15 +88,7 @@ class Daemon:
 
     def _monitor(self, descriptor: int) -> None:
         if descriptor == self._status.fileno():
-            self._status.accept()
-            for connection in self._status.connections():
-                self.loop.poll.register(connection.fileno(), select.POLLIN)
-            return
-        with contextlib.suppress(KeyError):  # an endpoint that was dropped a moment ago
-            self.loop.poll.unregister(descriptor)  # a request, or a connection that is gone
-        for connection in list(self._status.connections()):
-            if connection.fileno() == descriptor:
-                self._status.serve(connection)
+            self._status.serve()
 
     def _request(self, request: dict[str, Any]) -> dict[str, Any]:
         command = request.get("command", "status")

@@ -1,82 +1,57 @@
-"""Endpoints by URL, in both families in use: ``udpin:host:port`` and ``udpin://host:port``.
-
-| URL | meaning |
-|---|---|
-| ``udpin:host:port`` | bind, answer whoever sent last |
-| ``udpout:host:port`` | send to host:port, receive its answers |
-| ``tcp:host:port``, ``tcpout:`` | connect |
-| ``tcpin:host:port`` | listen, one client at a time |
-| ``/dev/ttyAMA0:921600``, ``serial:/dev/ttyAMA0:921600`` | serial port and baud |
-| ``/dev/ttyAMA0:921600,460800`` | the same; the next baud is tried while nothing readable arrives |
-"""
+"""What an endpoint is, and the one that a URL names (``mavlink/urls.py`` has the table)."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
-from nff_companion.errors import ConfigError
+from nff_companion.mavlink.names import address_of
+from nff_companion.mavlink.urls import parse
 
-KINDS = ("udpin", "udpout", "tcp", "tcpin", "serial")
+Sender = tuple[str, int] | None  # address and port; None where there can be but one
 
 
 class Endpoint(Protocol):
-    """A non-blocking byte pipe. ``receive`` returns what is there, one item a datagram or read."""
+    """A non-blocking byte pipe."""
 
     url: str
+    datagrams: bool  # each item received is a datagram; otherwise a piece of a stream
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is somebody to send to."""
 
     def fileno(self) -> int:
         """File descriptor to wait on."""
 
-    def receive(self) -> list[bytes]:
-        """All that has arrived. Raises EndpointError when the port is lost."""
+    def receive(self) -> list[tuple[bytes, Sender]]:
+        """All that has arrived, one item a datagram or read, with its sender. Raises EndpointError: port lost."""
+
+    def answer(self, sender: Sender) -> None:
+        """From now on send to ``sender``, where a choice exists (``udpin``)."""
 
     def send(self, data: bytes) -> bool:
-        """Send or drop; False when dropped (nobody to send to yet, or the buffer is full)."""
+        """Send the frame, at once or after what waits; False when dropped (nobody to send to, or no room)."""
+
+    def flush(self) -> None:
+        """Send of what waits as much as the line takes now."""
 
     def close(self) -> None:
         """Close; afterwards nothing else may be called."""
 
 
-@dataclass(frozen=True)
-class Url:
-    """A parsed endpoint URL; ``number`` is the port or the (first) baud rate, ``bauds`` all of them."""
-
-    kind: str
-    host: str
-    number: int
-    bauds: tuple[int, ...] = ()
-
-
-def parse(url: str) -> Url:
-    """Parse an endpoint URL of either family. Raises ConfigError with the form expected."""
-    text = url.strip()
-    if text.startswith("/"):
-        text = f"serial:{text}"
-    match = re.fullmatch(r"([a-z]+):(?://)?(.+):(\d+(?:,\d+)*)", text)
-    if match is None:
-        raise ConfigError(
-            f"endpoint {url!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}"
-        )
-    kind, host = match.group(1), match.group(2)
-    numbers = tuple(int(text) for text in match.group(3).split(","))
-    kind = {"tcpout": "tcp", "udp": "udpin"}.get(kind, kind)
-    if kind not in KINDS:
-        raise ConfigError(f"endpoint {url!r}: kind {kind!r} is unknown; choose one of {', '.join(KINDS)}")
-    if kind == "serial":
-        return Url(kind, host, numbers[0], numbers)
-    if len(numbers) > 1 or not 0 < numbers[0] < 65536:
-        raise ConfigError(f"endpoint {url!r}: {match.group(3)} is not one port between 1 and 65535")
-    return Url(kind, host, numbers[0])
-
-
-def open_endpoint(url: str, baud: int | None = None, *, wait: bool = True) -> Endpoint:
+def open_endpoint(url: str, baud: int | None = None, *, wait: bool = True, address: str | None = None) -> Endpoint:
     """Open the endpoint, a serial port with ``baud`` of its list; ``wait`` for a connection to be made.
 
+    ``address`` is what the URL's host name was found to mean; without it the name is looked up here, which may block.
     Raises ConfigError, EndpointError.
     """
     parsed = parse(url)
+    if parsed.kind == "serial":
+        from nff_companion.mavlink.endpoints.serial_port import SerialPort
+
+        return SerialPort(url, parsed if baud is None else replace(parsed, number=baud))
+    parsed = replace(parsed, host=address or address_of(parsed.host))
     if parsed.kind in ("udpin", "udpout"):
         from nff_companion.mavlink.endpoints.udp import Udp
 
@@ -85,10 +60,6 @@ def open_endpoint(url: str, baud: int | None = None, *, wait: bool = True) -> En
         from nff_companion.mavlink.endpoints.tcp import Tcp
 
         return Tcp(url, parsed, wait=wait)
-    if parsed.kind == "tcpin":
-        from nff_companion.mavlink.endpoints.tcp import TcpServer
+    from nff_companion.mavlink.endpoints.tcp_server import TcpServer
 
-        return TcpServer(url, parsed)
-    from nff_companion.mavlink.endpoints.serial_port import SerialPort
-
-    return SerialPort(url, parsed if baud is None else replace(parsed, number=baud))
+    return TcpServer(url, parsed)

@@ -2,60 +2,71 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 from nff_companion.errors import EndpointError
-from nff_companion.mavlink.endpoint import Url
+from nff_companion.mavlink.send_queue import SendQueue
+from nff_companion.mavlink.urls import Url
 
 
 class SerialPort:
     """A UART by pyserial, without blocking."""
 
+    datagrams = False
+
     def __init__(self, url: str, parsed: Url) -> None:
         import serial
 
         self.url = url
-        self._left = b""
         try:
             self._port = serial.Serial(parsed.host, parsed.number, timeout=0, write_timeout=0)
         except (OSError, ValueError) as error:
             raise EndpointError(f"{url}: cannot open: {error}; check the device, the baud and permissions") from error
         os.set_blocking(self._port.fileno(), False)
+        # pyserial's own write would wait for a slow line in a busy loop.
+        self._queue = SendQueue(lambda data: os.write(self._port.fileno(), data))
+
+    @property
+    def connected(self) -> bool:
+        """A line has another end as long as it is open."""
+        return True
 
     def fileno(self) -> int:
         """File descriptor to wait on."""
         return int(self._port.fileno())
 
-    def receive(self) -> list[bytes]:
+    def receive(self) -> list[tuple[bytes, tuple[str, int] | None]]:
         """Bytes that have arrived."""
         try:
             data = self._port.read(4096)
         except OSError as error:
             raise EndpointError(f"{self.url}: lost: {error}") from error
-        return [data] if data else []
+        return [(data, None)] if data else []
+
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        """There is but one."""
 
     def send(self, data: bytes) -> bool:
-        """Write the frame, after what is left of the one before; False when it is dropped for want of room.
-
-        pyserial's own write would wait for a slow line in a busy loop, and a frame cut short would spoil the next.
-        """
+        """Write the frame after what waits; False when it is dropped for want of room."""
         try:
-            if self._left and not self._flush():
-                return False
-            self._left = data
-            self._flush()
+            return self._queue.send(data)
         except OSError as error:
             raise EndpointError(f"{self.url}: lost: {error}") from error
-        return True
 
-    def _flush(self) -> bool:
-        """Write what is left; True when nothing remains."""
+    def flush(self) -> None:
+        """Write of what waits as much as the line takes."""
         try:
-            self._left = self._left[os.write(self.fileno(), self._left) :]
-        except BlockingIOError:
-            return False
-        return not self._left
+            self._queue.flush()
+        except OSError as error:
+            raise EndpointError(f"{self.url}: lost: {error}") from error
 
     def close(self) -> None:
         """Close the port."""
+        import termios
+
+        # Closing waits for what the driver still holds, on a stalled line for half a minute; a device that was pulled
+        # out has nothing to discard.
+        with contextlib.suppress(OSError, termios.error):
+            self._port.reset_output_buffer()
         self._port.close()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import socket
 
 from nff_companion.errors import EndpointError
-from nff_companion.mavlink.endpoint import Url
+from nff_companion.mavlink.urls import Url
 
 _LARGEST = 65535
+_AT_ONCE = 64  # datagrams of one read: a flood must leave the loop its turn
 
 
 class Udp:
-    """``udpin`` learns its peer from what it receives; ``udpout`` has a fixed one."""
+    """``udpin`` sends to whom it was told to ``answer``; ``udpout`` has a fixed peer. ``parsed.host`` is an address."""
+
+    datagrams = True
 
     def __init__(self, url: str, parsed: Url) -> None:
         self.url = url
@@ -26,25 +29,33 @@ class Udp:
             self._socket.close()
             raise EndpointError(f"{url}: cannot bind: {error.strerror}; is another program using the port?") from error
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a peer."""
+        return self._peer is not None
+
     def fileno(self) -> int:
         """File descriptor to wait on."""
         return self._socket.fileno()
 
-    def receive(self) -> list[bytes]:
-        """Datagrams that have arrived."""
-        out: list[bytes] = []
-        while True:
+    def receive(self) -> list[tuple[bytes, tuple[str, int] | None]]:
+        """Datagrams that have arrived, each with its sender."""
+        out: list[tuple[bytes, tuple[str, int] | None]] = []
+        while len(out) < _AT_ONCE:
             try:
-                data, sender = self._socket.recvfrom(_LARGEST)
+                out.append(self._socket.recvfrom(_LARGEST))
             except BlockingIOError:
-                return out
+                break
             except ConnectionRefusedError:
                 continue  # an earlier datagram found no listener: not an error of this port
             except OSError as error:
                 raise EndpointError(f"{self.url}: lost: {error.strerror}") from error
-            if not self._fixed:
-                self._peer = sender
-            out.append(data)
+        return out
+
+    def answer(self, sender: tuple[str, int] | None) -> None:
+        """From now on send to ``sender``."""
+        if not self._fixed:
+            self._peer = sender
 
     def send(self, data: bytes) -> bool:
         """Send one datagram, or drop it."""
@@ -55,6 +66,9 @@ class Udp:
         except OSError:
             return False  # full, unreachable or refused now: this datagram is lost, the port is not
         return True
+
+    def flush(self) -> None:
+        """Nothing waits: a datagram goes whole or not at all."""
 
     def close(self) -> None:
         """Close the socket."""

@@ -53,7 +53,7 @@ class _Line:
         """Wait for input at most so long, and take it."""
         if not select.select([self.endpoint.fileno()], [], [], max(seconds, 0.0))[0]:
             return
-        for data in self.endpoint.receive():
+        for data, _ in self.endpoint.receive():
             self.received += len(data)
             for message in self.codec.parse(data):
                 self._take(message)

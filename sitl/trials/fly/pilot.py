@@ -71,7 +71,8 @@ class Pilot:
             arrived = self._endpoint.receive()
         except EndpointError as error:
             raise FlightError(f"the autopilot is gone: {error}") from error
-        for data in arrived:
+        for data, sender in arrived:
+            self._endpoint.answer(sender)
             for message in self._codec.parse(data):
                 self._take(message)
 
