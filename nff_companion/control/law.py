@@ -123,9 +123,6 @@ class State:
     rate_rad_s: np.ndarray
 
 
-_TURN_SHARES = np.array([1.0, 1.0, _YAW_SHARE])
-
-
 def _axes(q: np.ndarray) -> Axes:
     """The body's axes in NED (columns of the rotation matrix) of the quaternion (w, x, y, z)."""
     w, x, y, z = q.tolist()
@@ -154,17 +151,20 @@ def _clip(value: float, limit: float) -> float:
 
 def attitude_error(body: Axes, desired: Axes) -> Vector:
     """Rotation vector in the body frame, rad, from the ``body`` axes to the ``desired`` ones."""
-    sine_axis = [0.0, 0.0, 0.0]
-    trace = 0.0
-    for have, want in zip(body, desired, strict=True):
-        part = _cross(have, want)
-        for k in range(3):
-            sine_axis[k] += 0.5 * part[k]
-        trace += _dot(have, want)
-    world = (sine_axis[0], sine_axis[1], sine_axis[2])
-    sine = math.sqrt(_dot(world, world))
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = body
+    (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = desired
+    # Half the sum of the cross products of each axis with where it should be: the sine of the angle, along the axis.
+    x = 0.5 * (ay * dz - az * dy + by * ez - bz * ey + cy * fz - cz * fy)
+    y = 0.5 * (az * dx - ax * dz + bz * ex - bx * ez + cz * fx - cx * fz)
+    z = 0.5 * (ax * dy - ay * dx + bx * ey - by * ex + cx * fy - cy * fx)
+    trace = ax * dx + ay * dy + az * dz + bx * ex + by * ey + bz * ez + cx * fx + cy * fy + cz * fz
+    sine = math.sqrt(x * x + y * y + z * z)
     scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 1e-9 else 1.0
-    return _dot(body[0], world) * scale, _dot(body[1], world) * scale, _dot(body[2], world) * scale
+    return (
+        scale * (ax * x + ay * y + az * z),
+        scale * (bx * x + by * y + bz * z),
+        scale * (cx * x + cy * y + cz * z),
+    )
 
 
 def steady_push(quaternion: np.ndarray, specific_force_m_s2: np.ndarray) -> np.ndarray:
@@ -198,7 +198,7 @@ class ControlLaw:
         """Demand (n,) in normalised units, and the new memory."""
         body = _axes(state.quaternion)
         push, gathered = self._push(state, reference, memory.push_m_s2, dt_s)
-        dx, dy = (_clip(value, _DRAG_MAX_M_S2) for value in knowledge.push_m_s2.tolist())
+        dx, dy = [_clip(value, _DRAG_MAX_M_S2) for value in knowledge.push_m_s2.tolist()]
         drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
         push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
         # The floor is on what the motors give, after phi a is taken off: nobody asks a motor for less than nothing.
@@ -213,7 +213,8 @@ class ControlLaw:
         w, j = state.rate_rad_s.tolist(), self._inertia
         angular, grown, acceleration = self._turn(attitude_error(body, desired), turning, w, memory, knowledge, dt_s)
         gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
-        demand = np.array([self._vehicle.mass_kg * specific, *(j[k] * angular[k] + gyroscopic[k] for k in range(3))])
+        torque = [j[k] * angular[k] + gyroscopic[k] for k in range(3)]
+        demand = np.array([self._vehicle.mass_kg * specific, *torque])
         after = Memory(gathered, grown, (w[0], w[1], w[2]), acceleration, desired, turning)
         return demand * self._scale, after
 
@@ -231,7 +232,7 @@ class ControlLaw:
         share = lag_share(dt_s, _LEAD_S)
         before = memory.rate_rad_s or (w[0], w[1], w[2])
         old = memory.acceleration_rad_s2
-        acceleration = tuple(old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3))
+        acceleration = [old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3)]
         integral, known = memory.turn_rad_s2.tolist(), knowledge.residual.tolist()
         out = []
         for k in range(3):
@@ -239,11 +240,9 @@ class ControlLaw:
             rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
             back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
             out.append(slow * (back + integral[k]) - known[k + 1])
-        grown = (
-            memory.turn_rad_s2 + (dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude) * np.array(axis) * _TURN_SHARES
-        )
-        grown = np.minimum(np.maximum(grown, -_TORQUE_INTEGRAL_MAX_RAD_S2), _TORQUE_INTEGRAL_MAX_RAD_S2)
-        return out, grown, (acceleration[0], acceleration[1], acceleration[2])
+            step = dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude * axis[k] * slow
+            integral[k] = _clip(integral[k] + step, _TORQUE_INTEGRAL_MAX_RAD_S2)
+        return out, np.array(integral), (acceleration[0], acceleration[1], acceleration[2])
 
     @staticmethod
     def _turning(memory: Memory, desired: Axes, dt_s: float) -> Vector:
@@ -258,16 +257,19 @@ class ControlLaw:
     def _push(self, state: State, reference: Reference, integral: np.ndarray, dt_s: float) -> tuple[Vector, np.ndarray]:
         """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
         g = self.gains
-        error = reference.position_m - state.position_m
-        size = math.sqrt(float(error @ error))
+        error: list[float] = (reference.position_m - state.position_m).tolist()
+        size = math.sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2])
         if size > _POSITION_ERROR_MAX_M:
-            error = error * (_POSITION_ERROR_MAX_M / size)
-        wanted = g.velocity * (g.position * error + reference.velocity_m_s - state.velocity_m_s) + integral
-        wanted = wanted + reference.acceleration_m_s2
+            error = [e * (_POSITION_ERROR_MAX_M / size) for e in error]
+        before: list[float] = integral.tolist()
+        slower: list[float] = (reference.velocity_m_s - state.velocity_m_s).tolist()
+        north, east, down = (
+            g.velocity * (g.position * e + v) + i + a
+            for e, v, i, a in zip(error, slower, before, reference.acceleration_m_s2.tolist(), strict=True)
+        )
         if size < _POSITION_ERROR_MAX_M:
-            integral = integral + dt_s * _INTEGRAL_PER_S * g.velocity * g.position * error
-            integral = np.minimum(np.maximum(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
-        north, east, down = wanted.tolist()
+            step = dt_s * _INTEGRAL_PER_S * g.velocity * g.position
+            integral = np.array([_clip(i + step * e, _INTEGRAL_MAX_M_S2) for i, e in zip(before, error, strict=True)])
         return (north, east, _clip(down, _VERTICAL_MAX_M_S2) - GRAVITY_M_S2), integral
 
 

@@ -43,7 +43,7 @@ class OverrideLoop:
         q, position, velocity = sample.quaternion, sample.position_m, sample.velocity_m_s
         if q is None or position is None or velocity is None:
             return state, Statement(Reason.STATE_UNKNOWN)
-        if not (sample.moves_plausibly and math.isfinite(float(position.sum()))):
+        if not (sample.moves_plausibly and math.isfinite(sum(position.tolist()))):
             return state, Statement(Reason.STATE_IMPLAUSIBLE)
         hold, memory = state.hold, state.memory
         if hold is None:
@@ -54,8 +54,9 @@ class OverrideLoop:
         now = State(position, velocity, q, sample.gyro_rad_s)
         demand, after = self._law.demand(now, reference, memory, knowledge, dt_s)
         thrust, served = desaturate(matrix, demand) if left is None else constrain(matrix, left, demand)
-        after = after.held_back(memory, np.abs(served - demand)[1:] > _SERVED)
-        if not math.isfinite(float(thrust.sum())):
+        if served is not demand:
+            after = after.held_back(memory, np.abs(served - demand)[1:] > _SERVED)
+        if not math.isfinite(sum(thrust.tolist())):
             return OverrideState(hold, memory), Statement(Reason.OUTPUTS_NOT_FINITE)
         return OverrideState(hold, after), thrust
 
@@ -63,7 +64,7 @@ class OverrideLoop:
 def _followed(sample: Sample, hold: Reference) -> tuple[Reference, Reference]:
     """The autopilot's target, and what to hold when it stops: where it last wanted to be, not where we began."""
     target = sample.target_position_m
-    if target is None or not np.isfinite(target).all():
+    if target is None or not math.isfinite(sum(target.tolist())):
         return hold, hold
     wanted = sample.target_yaw_rad
     yaw = hold.yaw_rad if wanted is None or not math.isfinite(wanted) else wanted
@@ -72,4 +73,4 @@ def _followed(sample: Sample, hold: Reference) -> tuple[Reference, Reference]:
 
 
 def _finite(value: np.ndarray | None) -> np.ndarray:
-    return np.zeros(3) if value is None or not np.isfinite(value).all() else value
+    return np.zeros(3) if value is None or not math.isfinite(sum(value.tolist())) else value

@@ -363,15 +363,15 @@ class Estimator:
     def _explained(effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
         too: the loss of a few, and what declared motors still give. None: nothing."""
-        declared = True in failed.tolist()
-        if not declared and min(effectiveness.tolist()) >= 1.0 - _CLEAR_LOSS:
+        eta, declared = effectiveness.tolist(), failed.tolist()
+        if min(eta) >= 1.0 - _CLEAR_LOSS and True not in declared:
             return None
-        loss = effectiveness - 1.0
-        low = (loss < -_CLEAR_LOSS) & ~failed
-        few = 0 < int(low.sum()) <= _FEW
-        if not few and not declared:
+        lost = [not gone and e - 1.0 < -_CLEAR_LOSS for e, gone in zip(eta, declared, strict=True)]
+        few = 0 < sum(lost) <= _FEW
+        if not few and True not in declared:
             return None
-        return np.where(failed, effectiveness, np.where(low & few, loss, 0.0))
+        each = zip(eta, declared, lost, strict=True)
+        return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
     @staticmethod
     def _learning_rate(

@@ -71,7 +71,8 @@ def without_nuisance(
     cross = matrix[..., nuisance]
     part = vector[..., nuisance]
     ridge = 1e-6 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] + _TINY
-    inverse = np.linalg.inv(cross[..., nuisance, :] + ridge * np.eye(len(nuisance)))
+    block = cross[..., nuisance, :] + ridge * np.eye(len(nuisance))
+    inverse = np.linalg.inv(block) if len(nuisance) > 1 else 1.0 / block
     gain = cross @ inverse
     coefficients = np.einsum("...ij,...j->...i", inverse, part)
     reduced = matrix - gain @ cross.swapaxes(-1, -2)

@@ -7,7 +7,9 @@ here is a hint: it is declared when the residual agrees (decision.py), and never
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import median
 
 import msgspec
 import numpy as np
@@ -29,25 +31,45 @@ class RotorSpeedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 
 @dataclass(slots=True)
-class RotorSpeedState:
-    """Arrays (m,)."""
+class MotorSpeed:
+    """What is remembered of one motor; NaN: unknown."""
 
-    reading: np.ndarray  # last speed, rad/s
-    changed_s: np.ndarray  # when it last changed
-    ratio: np.ndarray  # speed over the root of the thrust fraction, NaN: unknown
-    good_s: np.ndarray  # how long readings have been good
-    count: np.ndarray  # distinct readings in a row that say: stopped
-    reading_s: np.ndarray  # time of the last reading
-    since_s: np.ndarray  # when the motor was found stopped, NaN: it is not
-    last_s: float
+    reading: float = math.nan  # last speed, rad/s
+    reading_s: float = math.nan  # time of the last reading
+    changed_s: float = -math.inf  # when it last changed
+    ratio: float = math.nan  # speed over the root of the thrust fraction
+    good_s: float = 0.0  # how long readings have been good
+    count: int = 0  # distinct readings in a row that say: stopped
+    since_s: float = math.nan  # when the motor was found stopped, NaN: it is not
+
+
+@dataclass(slots=True)
+class RotorSpeedState:
+    """Of all motors; changed in place."""
+
+    motors: list[MotorSpeed]
+    last_s: float = 0.0
+    heard: bool = False  # any speed so far
 
     @staticmethod
     def start(motors: int) -> RotorSpeedState:
         """Nothing known."""
-        nan, zero = np.full(motors, np.nan), np.zeros(motors)
-        return RotorSpeedState(
-            nan.copy(), np.full(motors, -np.inf), nan.copy(), zero.copy(), zero.astype(int), nan.copy(), nan.copy(), 0.0
-        )
+        return RotorSpeedState([MotorSpeed() for _ in range(motors)])
+
+
+@dataclass(slots=True)
+class _Look:
+    """One motor at one sample."""
+
+    motor: MotorSpeed
+    speed: float
+    ratio: float
+    new: bool  # a reading that was not there before
+    fresh: bool
+    alive: bool  # fresh, and not frozen
+    driven: bool
+    turning: bool
+    low: bool  # slower than it should be by far
 
 
 class RotorSpeedWatch:
@@ -56,6 +78,8 @@ class RotorSpeedWatch:
     def __init__(self, motors: int, options: RotorSpeedOptions | None = None) -> None:
         self.motors = motors
         self.options = options or RotorSpeedOptions()
+        self._none = np.zeros(motors, bool)
+        self._none.flags.writeable = False
 
     def step(
         self, state: RotorSpeedState, time_s: float, speed: np.ndarray, read_s: np.ndarray, thrust: np.ndarray
@@ -63,44 +87,80 @@ class RotorSpeedWatch:
         """(m,) bool: motors that are driven and stand still. ``speed`` (m,) rad/s with the times ``read_s`` (m,) of
         their readings, NaN: none; ``thrust`` (m,) fractions asked for."""
         o = self.options
-        dt = float(np.clip(time_s - state.last_s, 0.0, 0.05))
+        dt_s = min(max(time_s - state.last_s, 0.0), 0.05)
         state.last_s = time_s
-        known = np.isfinite(speed) & (speed >= 0.0)
-        fresh = known & (np.abs(time_s - np.nan_to_num(read_s, nan=-np.inf)) <= o.fresh_s)
-        new = fresh & (np.nan_to_num(state.reading_s, nan=-np.inf) != read_s)
-        differs = fresh & (np.nan_to_num(state.reading, nan=-1.0) != np.nan_to_num(speed, nan=-1.0))
-        state.changed_s[differs] = time_s
-        state.reading[fresh], state.reading_s[fresh] = speed[fresh], read_s[fresh]
-        driven = thrust > o.driven
-        root = np.sqrt(np.maximum(thrust, 1e-6))
-        expected = np.nan_to_num(state.ratio, nan=np.inf) * root
-        alive = fresh & (time_s - state.changed_s <= o.frozen_s)
-        turning = alive & driven & ((speed > o.turning_share * expected) | np.isnan(state.ratio)) & (speed > 1.0)
-        ratio = np.where(turning, speed / root, np.nan)
-        # All motors are of one kind: a reading far from the others is another sender's, or nonsense.
-        middle = float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else np.nan
-        turning &= ~(np.abs(ratio / middle - 1.0) > 0.6) if np.isfinite(middle) else turning
-        share = dt / (o.ratio_s + dt)
-        state.ratio = np.where(
-            turning, np.where(np.isnan(state.ratio), ratio, state.ratio + share * (ratio - state.ratio)), state.ratio
-        )
-        low = fresh & driven & (speed < o.stopped_share * expected) & np.isfinite(state.ratio)
-        # Slowing down neither proves nor disproves; silence and repetition do.
-        state.good_s = np.where(turning, state.good_s + dt, np.where(alive | low | ~driven, state.good_s, 0.0))
-        proven = state.good_s >= o.proven_s
-        state.count = np.where(low & proven, state.count + new, 0)
-        stopped = state.count >= o.readings
-        # Together within a moment: no two motors fail like that by chance, three never.
-        beginning = stopped & np.isnan(state.since_s)
-        if int((low & proven).sum()) > o.at_once_max and beginning.any():
-            state.good_s[low] = 0.0  # not to be believed again until it has proven itself anew
-            state.count[:] = 0
-            stopped = np.zeros(self.motors, bool)
-        state.since_s = np.where(stopped, np.where(np.isnan(state.since_s), time_s, state.since_s), np.nan)
-        # After a while without a declaration it is the sensor: its word no longer lowers any threshold.
-        return stopped & ~(time_s - np.nan_to_num(state.since_s, nan=np.inf) >= o.fault_s)
+        speeds = speed.tolist()
+        if not state.heard:
+            state.heard = any(map(math.isfinite, speeds))
+            if not state.heard:
+                return self._none
+        looks = [
+            self._look(*each, time_s)
+            for each in zip(state.motors, speeds, read_s.tolist(), thrust.tolist(), strict=True)
+        ]
+        self._learn(looks, dt_s)
+        doubted, beginning = 0, False
+        for look in looks:
+            motor = look.motor
+            if not look.low or motor.good_s < o.proven_s:
+                motor.count = 0
+                continue
+            motor.count += look.new
+            doubted += 1
+            beginning = beginning or (motor.count >= o.readings and math.isnan(motor.since_s))
+        if beginning and doubted > o.at_once_max:
+            # Together within a moment: no two motors fail like that by chance, three never. They are not to be
+            # believed again until they have proven themselves anew.
+            for look in looks:
+                look.motor.count = 0
+                look.motor.good_s = 0.0 if look.low else look.motor.good_s
+        stopped = [self._stands_still(look.motor, time_s) for look in looks]
+        return np.array(stopped) if True in stopped else self._none
+
+    def _look(self, motor: MotorSpeed, speed: float, read_s: float, thrust: float, time_s: float) -> _Look:
+        """Take one reading."""
+        o = self.options
+        fresh = 0.0 <= speed < math.inf and abs(time_s - read_s) <= o.fresh_s  # comparisons with NaN are false
+        new = fresh and motor.reading_s != read_s
+        if fresh:
+            if motor.reading != speed:
+                motor.changed_s = time_s
+            motor.reading, motor.reading_s = speed, read_s
+        driven, root = thrust > o.driven, math.sqrt(max(thrust, 1e-6))
+        unknown = math.isnan(motor.ratio)
+        expected = math.inf if unknown else motor.ratio * root
+        alive = fresh and time_s - motor.changed_s <= o.frozen_s
+        turning = alive and driven and speed > 1.0 and (unknown or speed > o.turning_share * expected)
+        low = fresh and driven and not unknown and speed < o.stopped_share * expected
+        return _Look(motor, speed, speed / root, new, fresh, alive, driven, turning, low)
+
+    def _learn(self, looks: list[_Look], dt_s: float) -> None:
+        """The speed that each motor's own history leads one to expect, and for how long its telemetry has been good."""
+        ratios = [look.ratio for look in looks if look.turning]
+        middle = median(ratios) if ratios else math.nan
+        share = dt_s / (self.options.ratio_s + dt_s)
+        for look in looks:
+            motor = look.motor
+            # All motors are of one kind: a reading far from the others is another sender's, or nonsense.
+            if look.turning and abs(look.ratio / middle - 1.0) <= 0.6:
+                motor.ratio = (
+                    look.ratio if math.isnan(motor.ratio) else motor.ratio + share * (look.ratio - motor.ratio)
+                )
+                motor.good_s += dt_s
+            # Slowing down neither proves nor disproves; silence and repetition do.
+            elif look.driven and not (look.alive or look.low):
+                motor.good_s = 0.0
+
+    def _stands_still(self, motor: MotorSpeed, time_s: float) -> bool:
+        """After a while without a declaration it is the sensor: its word no longer lowers any threshold."""
+        if motor.count < self.options.readings:
+            motor.since_s = math.nan
+            return False
+        if math.isnan(motor.since_s):
+            motor.since_s = time_s
+        return time_s - motor.since_s < self.options.fault_s
 
     def faults(self, state: RotorSpeedState, failed: np.ndarray) -> np.ndarray:
         """(m,) bool: stopped by telemetry for a while, but nothing was declared: the residual says that they pull."""
-        since = np.nan_to_num(state.since_s, nan=np.inf)
-        return np.asarray(~failed & (state.last_s - since >= self.options.fault_s))
+        lasting = [state.last_s - motor.since_s >= self.options.fault_s for motor in state.motors]
+        return np.array(lasting) & ~failed

@@ -61,19 +61,27 @@ def solve(information: Information, gamma: float, lower: np.ndarray | None = Non
     if min(values) >= 0.0 and math.isfinite(sum(values)):
         # The gradient at e = 0 is -(q + gamma 1): where it has no positive component, no e < 0 does better.
         return np.zeros(len(linear))
-    free = np.flatnonzero(np.diagonal(information.matrix) > _TINY)
-    e, count = np.zeros(len(linear)), len(free)
-    if count == 0:
-        return e
-    hessian = information.matrix[free[:, None], free]
-    # S has rank n at constant u: a proximal term far below the data makes the program strictly convex.
-    hessian.flat[:: count + 1] += 1e-6 * float(hessian.trace()) + _TINY
-    low, high = np.full(count, -1.0) if lower is None else lower[free], np.zeros(count)
-    part, _, flag, _ = daqp.solve(hessian, -linear[free], np.zeros((0, count)), high, low)
-    if flag != 1 or not math.isfinite(float(part.sum())):
-        raise SolverError(f"sparse step: daqp ended with flag {flag}; the last estimate stays")
-    e[free] = np.minimum(np.maximum(part, low), high)
+    diagonal = information.matrix.diagonal().tolist()
+    if min(diagonal) > _TINY:
+        return _box_program(information.matrix.copy(), -linear, lower)
+    e = np.zeros(len(linear))
+    free = np.flatnonzero(information.matrix.diagonal() > _TINY)
+    if len(free):
+        hessian = information.matrix[free[:, None], free]
+        e[free] = _box_program(hessian, -linear[free], None if lower is None else lower[free])
     return e
+
+
+def _box_program(hessian: np.ndarray, gradient: np.ndarray, lower: np.ndarray | None) -> np.ndarray:
+    """e minimising 1/2 e'H e + g'e in ``lower``, None: -1, to 0. ``hessian`` is written to. Raises SolverError."""
+    count = len(gradient)
+    # S has rank n at constant u: a proximal term far below the data makes the program strictly convex.
+    hessian.ravel()[:: count + 1] += 1e-6 * sum(hessian.diagonal().tolist()) + _TINY
+    low, high = np.full(count, -1.0) if lower is None else lower, np.zeros(count)
+    e, _, flag, _ = daqp.solve(hessian, gradient, np.zeros((0, count)), high, low)
+    if flag != 1 or not math.isfinite(sum(e.tolist())):
+        raise SolverError(f"sparse step: daqp ended with flag {flag}; the last estimate stays")
+    return np.minimum(np.maximum(e, low), high)
 
 
 def deviation(information: Information, prior: float = 1.0) -> np.ndarray:

@@ -178,7 +178,7 @@ class Vehicle:
 
     def output_for(self, thrust_fraction: np.ndarray) -> np.ndarray:
         """Motor output 0..1 for a thrust fraction, the inverse of ``thrust_fraction`` above idle."""
-        c, u = self.command, np.clip(thrust_fraction, 0.0, 1.0)
+        c, u = self.command, np.minimum(np.maximum(thrust_fraction, 0.0), 1.0)
         e = c.thrust_expo
         ratio = u if e == 0.0 else (np.sqrt((1.0 - e) ** 2 + 4.0 * e * u) - (1.0 - e)) / (2.0 * e)
         return c.spin_min + (c.spin_max - c.spin_min) * ratio
