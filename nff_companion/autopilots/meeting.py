@@ -9,8 +9,7 @@ from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.nff import NffAdapter
-
-Method = str
+from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import dialect
 
@@ -56,7 +55,5 @@ class Meeting:
 
             return ArduPilotAdapter(self._vehicle, target, self._plans, self.instance)
         if kind == "px4":
-            from nff_companion.autopilots.px4.adapter import Px4Adapter
-
             return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)
         return NffAdapter(self._vehicle, target)
