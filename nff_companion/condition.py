@@ -80,6 +80,8 @@ class Reason(Enum):
     LATER_TWIN = (70, "another companion is heard ({})")
     SPEED_SENSOR = (71, "motor {} pulls but reads no speed")
     SLOW_STREAM = (71, "{} needed")
+    STILL_CHANGED = (70, "parameters are still changed: {}")
+    JOURNAL_STAYS = (71, "{}: remove it before you tune CA_ROTORn")
 
     @property
     def priority(self) -> int:

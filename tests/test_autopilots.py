@@ -100,6 +100,20 @@ def test_an_autopilot_that_does_not_answer_is_not_commanded(octo: Vehicle) -> No
     assert adapter.condition(11.5).command == silent
 
 
+def test_positions_and_targets_are_carried_on_to_the_moment_of_the_sample(octo: Vehicle) -> None:
+    decoder = TelemetryDecoder(octo)
+    decoder.observe(dialect.MAVLink_local_position_ned_message(1000, 10.0, 0.0, -5.0, 8.0, 0.0, 1.0))
+    decoder.observe(dialect.MAVLink_position_target_local_ned_message(1000, 1, 0, 10, 0, -5, 8, 0, 0, *[0.0] * 5))
+    now, later, old = decoder.observe(imu(1_000_000)), decoder.observe(imu(1_050_000)), decoder.observe(imu(1_400_000))
+    assert now is not None
+    assert later is not None
+    assert old is not None
+    np.testing.assert_allclose(now.position_m, [10.0, 0.0, -5.0])
+    np.testing.assert_allclose(later.position_m, [10.4, 0.0, -4.95])
+    np.testing.assert_allclose(later.target_position_m, [10.4, 0.0, -5.0])
+    np.testing.assert_allclose(old.position_m, [10.0, 0.0, -5.0], err_msg="not for longer than is known")
+
+
 def test_no_sequence_is_used_twice_and_every_command_bears_its_time(octo: Vehicle) -> None:
     adapter = NffAdapter(octo, (1, 1))
     plan = make_plan(allocator("trim"), octo.effectiveness, np.r_[0.0, np.ones(7)], octo.hover)

@@ -88,3 +88,11 @@ def test_what_is_known_of_an_axis_is_taken_off_in_full(octo: Vehicle, axis: int)
     known = np.eye(4)[axis]
     expected = -octo.normalised_per_acceleration[axis] * known
     np.testing.assert_allclose(demand(octo, disturbance=known) - demand(octo), expected, atol=1e-12)
+
+
+def test_a_tumbling_vehicle_is_never_asked_for_negative_thrust(octo: Vehicle) -> None:
+    """The floor is on what the motors give, after what is known of the residual is taken off."""
+    upside_down = np.array([0.0, 1.0, 0.0, 0.0])
+    for known in (0.0, 3.0, 8.0, 30.0):
+        answer = demand(octo, quaternion=upside_down, disturbance=[known, 0, 0, 0])
+        assert answer[0] >= 0.1 * octo.hover

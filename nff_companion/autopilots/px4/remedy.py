@@ -61,9 +61,10 @@ class Remedy:
 
 @dataclass(frozen=True)
 class NoRemedy:
-    """Nothing may be told, and why."""
+    """Nothing may be told, and why. ``no_lift``: the motors left cannot carry the weight, whatever is told."""
 
     reason: str
+    no_lift: bool = False
 
 
 class Advisor:
@@ -129,6 +130,10 @@ class Advisor:
         prediction = self.predict(told, true, yaw_released=False)
         return min(prediction.thrust_ratio, 1.05) - 2.0 * float(np.abs(prediction.bias).max())
 
+    def lifts(self, effectiveness: np.ndarray) -> bool:
+        """Whether motors of ``effectiveness`` (m,) carry the weight, all at full output."""
+        return float(self._vehicle.effectiveness[0] @ effectiveness) >= self._vehicle.hover
+
     def remedy(self, effectiveness: np.ndarray) -> Remedy | NoRemedy:
         """What to tell for true motor ``effectiveness`` (m,): the truth, or the truth without yaw, or nothing."""
         reason = ""
@@ -138,7 +143,7 @@ class Advisor:
             if not fault:
                 return Remedy(effectiveness.copy(), released, self._first(effectiveness) if released else None)
             reason = reason or fault
-        return NoRemedy(reason)
+        return NoRemedy(reason, no_lift=not self.lifts(effectiveness))
 
 
 def geometry_of(values: dict[str, float], motors: int) -> Geometry:

@@ -28,6 +28,11 @@ def version_of(flight_sw_version: int) -> tuple[int, int, int]:
     return flight_sw_version >> 24 & 0xFF, flight_sw_version >> 16 & 0xFF, flight_sw_version >> 8 & 0xFF
 
 
+def text_of(version: tuple[int, int, int]) -> str:
+    """As people write it."""
+    return ".".join(str(part) for part in version)
+
+
 def behaviour(version: tuple[int, int, int]) -> Behaviour | None:
     """What this version does; None for one that nobody has looked at."""
     return _KNOWN.get(version[:2])

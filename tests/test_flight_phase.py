@@ -1,0 +1,87 @@
+"""When the companion believes that the vehicle flies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nff_companion.core.flight_phase import FlightPhase, FlightPhaseState
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import Vehicle
+
+
+def sample(
+    octo: Vehicle,
+    time_s: float,
+    *,
+    height: float | None = None,
+    armed: bool = True,
+    landed: bool | None = None,
+    force: float = 9.81,
+) -> Sample:
+    return Sample(
+        time_s=time_s,
+        gyro_rad_s=np.zeros(3),
+        specific_force_m_s2=np.array([0.0, 0.0, -force]),
+        output=np.full(8, 0.5),
+        armed=armed,
+        position_m=None if height is None else np.array([0.0, 0.0, -height]),
+        landed=landed,
+    )
+
+
+def first_flying_s(
+    octo: Vehicle, *, start: FlightPhaseState | None = None, until_s: float = 4.0, **what
+) -> float | None:
+    phase, state = FlightPhase(octo), start or FlightPhaseState()
+    thrust = np.full(8, octo.hover)
+    for k in range(800):
+        state = phase.step(state, sample(octo, 0.005 * k, **what), thrust)
+        if state.flying:
+            return 0.005 * k
+    return None
+
+
+def test_a_restart_in_flight_is_not_blind_where_the_autopilot_says_that_it_flies(octo: Vehicle) -> None:
+    told = first_flying_s(octo, height=30.0, landed=False)
+    assert told is not None
+    assert told <= 0.25
+    untold = first_flying_s(octo, height=30.0)
+    assert untold == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_shock_after_a_restart_high_up_is_no_ground(octo: Vehicle) -> None:
+    """Where the ground is is not known: a shock must not make the companion wait for a climb."""
+    phase, state, thrust = FlightPhase(octo), FlightPhaseState(), np.full(8, octo.hover)
+    for k in range(600):
+        state = phase.step(state, sample(octo, 0.005 * k, height=30.0), thrust)
+    assert state.flying
+    for k in range(600, 606):
+        state = phase.step(state, sample(octo, 0.005 * k, height=30.0, force=300.0), thrust)
+    assert state.flying
+    assert not state.hit
+
+
+def test_what_hits_the_ground_does_not_fly_until_it_climbs(octo: Vehicle) -> None:
+    phase, thrust = FlightPhase(octo), np.full(8, octo.hover)
+    state = phase.step(FlightPhaseState(), sample(octo, 0.0, height=0.0, armed=False), thrust)
+    for k in range(1, 400):
+        state = phase.step(state, sample(octo, 0.005 * k, height=2.0), thrust)
+    assert state.flying
+    for k in range(400, 404):
+        state = phase.step(state, sample(octo, 0.005 * k, height=0.1, force=300.0), thrust)
+    assert not state.flying
+    for k in range(404, 1400):
+        state = phase.step(state, sample(octo, 0.005 * k, height=0.1), thrust)
+    assert not state.flying
+
+
+def test_landing_and_disarming_is_said_once(octo: Vehicle) -> None:
+    phase, state, thrust = FlightPhase(octo), FlightPhaseState(), np.full(8, octo.hover)
+    for k in range(600):
+        state = phase.step(state, sample(octo, 0.005 * k, height=30.0), thrust)
+    said = []
+    for k in range(600, 603):
+        state = phase.step(state, sample(octo, 0.005 * k, height=0.0, armed=False), thrust)
+        said.append(state.landed_and_disarmed)
+    assert said == [True, False, False]
