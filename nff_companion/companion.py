@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace as replaced
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -45,9 +44,9 @@ class Companion:
         self.vehicle, self.rate_hz, self.network, self.parts = vehicle, rate_hz, network, parts
         self.options = o = options or CompanionOptions()
         self._dt_s = 1.0 / rate_hz
-        estimator = msgspec.structs.replace(o.estimator, identify=parts.identify, joint=parts.joint)
+        basis = network if parts.learn else None
         self._estimator = (
-            Estimator(vehicle, self._dt_s, estimator, network if parts.learn else None)
+            Estimator(vehicle, self._dt_s, o.tuning, basis, identify=parts.identify, joint=parts.joint)
             if parts.estimator is None
             else parts.estimator(vehicle, self._dt_s)
         )
@@ -55,7 +54,7 @@ class Companion:
         self._planner = Planner(vehicle, allocator(o.allocation), o.planner, parts.target)
         self._loop = OverrideLoop(vehicle)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
-        self._speeds = RotorSpeedWatch(vehicle.motors)
+        self._speeds = RotorSpeedWatch(vehicle.motors, o.tuning.rotor_speed)
         self._nothing = Knowledge.none(vehicle.axes)
         self._none = read_only(np.zeros(vehicle.axes))
         self._ones = read_only(np.ones(vehicle.motors))

@@ -16,16 +16,17 @@ from nff_companion.condition import Mode, Reason, Statement, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideState
 from nff_companion.core.decision import Event
-from nff_companion.core.estimator import Estimate, EstimatorOptions, EstimatorState
+from nff_companion.core.estimator import Estimate, EstimatorState
 from nff_companion.core.flight_phase import FlightPhaseOptions, FlightPhaseState
 from nff_companion.core.rotor_speed import RotorSpeedState
+from nff_companion.core.tuning import Tuning
 
 
 class CompanionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuning of one companion."""
 
     allocation: str = "trim"
-    estimator: EstimatorOptions = EstimatorOptions()
+    tuning: Tuning = Tuning()
     flight_phase: FlightPhaseOptions = FlightPhaseOptions()
     planner: PlannerOptions = PlannerOptions()
     gap_max_s: float = 0.1  # without a sample: the estimate starts anew

@@ -39,13 +39,12 @@ def settings(
 
     def threshold(name: str, low: float, high: float, *, whole: bool = False) -> tuple[float, float, object, object]:
         def get() -> float:
-            return float(getattr(options().estimator.decision, name))
+            return float(getattr(options().tuning.decision, name))
 
         def change(value: float) -> bool:
             now = options()
-            decision = msgspec.structs.replace(now.estimator.decision, **{name: int(value) if whole else value})
-            estimator = msgspec.structs.replace(now.estimator, decision=decision)
-            return retune(msgspec.structs.replace(now, estimator=estimator))
+            tuning = now.tuning.having("decision", **{name: int(value) if whole else value})
+            return retune(msgspec.structs.replace(now, tuning=tuning))
 
         return low, high, get, change
 

@@ -306,7 +306,7 @@ def test_a_ground_station_lists_reads_and_sets(server: ParameterServer, chosen: 
     assert chosen.mode == Mode.OBSERVE
     (value,) = put(server, "NFF_MARGIN", 9.0)
     assert value.param_value == 9.0
-    assert chosen.options.estimator.decision.margin_min == 9.0
+    assert chosen.options.tuning.decision.margin_min == 9.0
     put(server, "NFF_LIFT", 3.0)
     assert chosen.lifted == [3]
     chosen.flying = True

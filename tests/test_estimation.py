@@ -7,21 +7,19 @@ import pytest
 from scipy import optimize, signal
 
 from nff_companion.core import hypotheses, sparse
-from nff_companion.core.adaptation import AdaptationOptions
-from nff_companion.core.decision import Decision, DecisionOptions, DecisionState, Hypothesis
-from nff_companion.core.disturbance import CORRELATION_S, Disturbance, SideDragState, learn_side_drag
+from nff_companion.core.decision import Decision, DecisionState, Hypothesis
+from nff_companion.core.disturbance import Disturbance, SideDragState, learn_side_drag
 from nff_companion.core.filters import LowPass, lag_share, loss_response
-from nff_companion.core.onset import (
-    MODEL_ERROR_SHARE,
-    SINGLE_ERROR_SHARE,
-    TOGETHER_ERROR_SHARE,
-    YAW_ERROR_SHARE,
-    OnsetBank,
-)
-from nff_companion.core.residual import SMOOTHING_S, ResidualFilter
+from nff_companion.core.onset import OnsetBank
+from nff_companion.core.residual import ResidualFilter
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 
 DT = 0.005
+TUNING = Tuning()
+CORRELATION_S, SMOOTHING_S = TUNING.disturbance.correlation_s, TUNING.residual.smoothing_s
+MODEL_ERROR_SHARE, YAW_ERROR_SHARE = TUNING.onset.model_error_share, TUNING.onset.yaw_error_share
+TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = TUNING.onset.together_error_share, TUNING.onset.single_error_share
 
 
 def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: np.ndarray, noise: float = 0.0):
@@ -176,7 +174,7 @@ def test_gyroscopic_torque_is_part_of_the_model(octo: Vehicle) -> None:
 
 
 def test_onset_sums_equal_sums_over_the_history(octo: Vehicle, rng: np.random.Generator) -> None:
-    bank = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, LowPass.design(20.0, DT))
+    bank = OnsetBank(octo, DT, LowPass.design(20.0, DT), TUNING)
     b, u, y = data(rng, octo, 90, np.zeros(8), noise=3.0)
     state = bank.start()
     for k in range(90):
@@ -240,11 +238,11 @@ def test_side_drag_recursion_equals_batch_least_squares(rng: np.random.Generator
     slopes = rng.standard_normal(400)
     truth, deviation = 0.8, 0.05
     y = truth * slopes + deviation * rng.standard_normal(400)
-    state = SideDragState()
+    state = SideDragState.start(TUNING.disturbance)
     prior_mean, prior_variance = state.share, state.variance
     noise = deviation**2 * CORRELATION_S / DT
     for slope, value in zip(slopes, y, strict=True):
-        state = learn_side_drag(state, slope, value - state.share * slope, deviation**2, DT)
+        state = learn_side_drag(state, slope, value - state.share * slope, deviation**2, DT, TUNING.disturbance)
     precision = 1 / prior_variance + (slopes**2).sum() / noise
     batch = (prior_mean / prior_variance + (slopes * y).sum() / noise) / precision
     assert state.share == pytest.approx(batch, abs=2e-3)
@@ -276,7 +274,7 @@ def test_a_constant_basis_is_the_mean_with_exponential_weights(octo: Vehicle, rn
     state = disturbance.start()
     for row in y:
         state = disturbance.step(state, state.basis, row, DT)
-    share = DT / AdaptationOptions().follow_s
+    share = DT / TUNING.adaptation.follow_s
     weights = share * (1 - share) ** np.arange(299, -1, -1)
     np.testing.assert_allclose(disturbance.predict(state, state.basis), weights @ y, rtol=0.02, atol=1e-3)
     frozen = disturbance.step(state, state.basis, y[0], DT, rate=0.0)
@@ -287,13 +285,13 @@ def test_a_joint_estimate_is_the_marginal_over_a_constant_error_of_the_disturban
     octo: Vehicle, rng: np.random.Generator
 ) -> None:
     joint = 1.5
-    bank = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, None, joint)
+    bank = OnsetBank(octo, DT, None, TUNING, joint=joint)
     b, u, y = data(rng, octo, 90, np.zeros(8), noise=3.0)
     state = bank.start()
     for k in range(90):
         state = bank.push(state, u[k], y[k], b, u[k])
     variance = np.array([0.1, 2.0, 2.0, 0.3])
-    plain = OnsetBank(4, 8, octo.inertia_kg_m2, DT, 0.045, None).sums(state, b, variance, 0.0)
+    plain = OnsetBank(octo, DT, None, TUNING).sums(state, b, variance, 0.0)
     together = bank.sums(state, b, variance, 0.0)
     response = loss_response(DT, bank.length, 0.045, None, SMOOTHING_S)
     row, count = 4, round(bank.sums(state, b, variance, 0.0).age_s[4] / DT)
@@ -328,7 +326,7 @@ def test_a_joint_estimate_is_the_marginal_over_a_constant_error_of_the_disturban
 def test_how_large_a_loss_must_be_depends_on_how_well_it_is_known(
     octo: Vehicle, motors: tuple[int, ...], loss: tuple[float, ...], age_s: float, declared: bool
 ) -> None:
-    decision = Decision(octo.motors, octo.axes, DecisionOptions())
+    decision = Decision(octo.motors, octo.axes, TUNING.decision)
     state = DecisionState.start(octo.motors)
     best = Hypothesis(motors, loss, improvement=60.0, margin=20.0, explained=0.95, age_s=age_s)
     ones = np.ones(octo.motors)

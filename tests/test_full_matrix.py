@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nff_companion.core.full_matrix import FullMatrix, FullMatrixOptions
+from sitl.trials.research.full_matrix import FullMatrix, FullMatrixOptions
 
 N, M = 4, 8
 

@@ -13,7 +13,7 @@ import pytest
 from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
 from nff_companion.core import basis_network, vehicle
-from nff_companion.core.adaptation import AdaptationOptions
+from nff_companion.core.tuning import AdaptationTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
 from sitl.faults import Fault
@@ -185,4 +185,4 @@ def test_the_adapted_matrix_learns_a_lost_motor_and_begins_anew(octo: Vehicle) -
 )
 def test_an_adaptation_that_would_run_away_is_refused(wrong: dict) -> None:
     with pytest.raises(msgspec.ValidationError):
-        msgspec.convert(wrong, AdaptationOptions)
+        msgspec.convert(wrong, AdaptationTuning)

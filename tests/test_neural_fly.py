@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nff_companion.core.adaptation import Adaptation, AdaptationOptions
+from nff_companion.core.adaptation import Adaptation
+from nff_companion.core.tuning import AdaptationTuning
 
 K, N = 4, 3
 
@@ -16,7 +17,7 @@ def basis_at(time_s: float) -> np.ndarray:
 
 def test_without_drive_it_is_regularised_least_squares(rng: np.random.Generator) -> None:
     prior, spread = rng.standard_normal((K, N)), np.diag(rng.uniform(0.5, 2.0, K))
-    adaptation = Adaptation(prior, AdaptationOptions(follow_s=1e9), spread)
+    adaptation = Adaptation(prior, AdaptationTuning(follow_s=1e9), spread)
     state, dt = adaptation.start(), 0.01
     rows = [rng.standard_normal(K) for _ in range(300)]
     targets = [rng.standard_normal(N) for _ in rows]
@@ -36,7 +37,7 @@ def test_it_converges_to_the_continuous_law(rng: np.random.Generator, composite:
     prior = rng.standard_normal((K, N))
     truth = rng.standard_normal((K, N))
     tracking = rng.standard_normal(N)
-    options = AdaptationOptions(follow_s=follow, forget_per_s=lam, composite=composite)
+    options = AdaptationTuning(follow_s=follow, forget_per_s=lam, composite=composite)
     errors = []
     for dt in (0.02, 0.005):
         adaptation = Adaptation(prior, options)
@@ -57,7 +58,7 @@ def test_it_converges_to_the_continuous_law(rng: np.random.Generator, composite:
 
 
 def test_the_covariance_stays_definite_at_any_rate(rng: np.random.Generator) -> None:
-    adaptation = Adaptation(np.zeros((K, N)), AdaptationOptions(follow_s=0.05, forget_per_s=0.5))
+    adaptation = Adaptation(np.zeros((K, N)), AdaptationTuning(follow_s=0.05, forget_per_s=0.5))
     state = adaptation.start()
     for _ in range(3000):
         state = adaptation.step(state, 30.0 * rng.standard_normal(K), rng.standard_normal(N), rng.uniform(0.001, 0.1))
@@ -67,7 +68,7 @@ def test_the_covariance_stays_definite_at_any_rate(rng: np.random.Generator) -> 
 
 def test_functions_that_a_flight_does_not_excite_gather_no_variance_for_ever() -> None:
     """Twenty minutes of hover, then forward flight: one sample may not take a large part of the innovation."""
-    adaptation = Adaptation(np.zeros((K, N)), AdaptationOptions())
+    adaptation = Adaptation(np.zeros((K, N)), AdaptationTuning())
     state = adaptation.start()
     fresh = float(state.covariance.trace())
     hover, forward = np.eye(K)[-1], np.ones(K)

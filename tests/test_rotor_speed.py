@@ -143,7 +143,7 @@ def test_a_hint_that_nothing_confirms_is_withdrawn() -> None:
         if watch.step(state, now, speed, np.full(4, now), thrust)[1]:
             hinted.append(now)
     assert 2.0 <= hinted[0] < 2.05
-    assert hinted[-1] < hinted[0] + watch.options.fault_s + 0.02
+    assert hinted[-1] < hinted[0] + watch.tuning.fault_s + 0.02
     assert watch.faults(state, np.zeros(4, bool)).tolist() == [False, True, False, False]
 
 

@@ -16,21 +16,10 @@ All axes share the basis and, measured in their own scale, the noise: one gain (
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-import msgspec
 import numpy as np
 
-# Directions of phi that a flight does not excite gather variance for ever: P's trace may grow this much.
-_COVARIANCE_GROWTH = 2.0
-
-
-class AdaptationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Tuning. Noise R is 1 in the axes' own scale: only ratios matter."""
-
-    follow_s: Annotated[float, msgspec.Meta(ge=0.05)] = 2.0  # time constant of a basis function of value 1: sqrt(R / Q)
-    forget_per_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # lam
-    composite: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # weight of the tracking error s
+from nff_companion.core.tuning import AdaptationTuning
 
 
 @dataclass(slots=True)
@@ -44,15 +33,16 @@ class AdaptationState:
 class Adaptation:
     """Constants for k basis functions and n axes."""
 
-    def __init__(self, prior: np.ndarray, options: AdaptationOptions, spread: np.ndarray | None = None) -> None:
+    def __init__(self, prior: np.ndarray, tuning: AdaptationTuning, spread: np.ndarray | None = None) -> None:
         """``prior``: a0 (k, n); ``spread``: P at the start (k, k), else that of a steady flight."""
         self.prior = prior
         k = len(prior)
-        self._drive = np.eye(k) / options.follow_s**2
-        self._start = np.eye(k) / options.follow_s if spread is None else spread
-        self._trace_max = _COVARIANCE_GROWTH * float(self._start.trace())
+        self._drive = np.eye(k) / tuning.follow_s**2
+        self._start = np.eye(k) / tuning.follow_s if spread is None else spread
+        # Directions of phi that a flight does not excite gather variance for ever: P's trace may grow this much.
+        self._trace_max = tuning.covariance_growth * float(self._start.trace())
         self._identity = np.eye(k)
-        self._options = options
+        self._tuning = tuning
 
     def start(self) -> AdaptationState:
         """Nothing learnt in this flight."""
@@ -67,7 +57,7 @@ class Adaptation:
         tracking_error: np.ndarray | None = None,
     ) -> AdaptationState:
         """One sample: ``basis`` phi (k,), ``residual`` y (n,), ``tracking_error`` s (n,), actual - reference."""
-        o = self._options
+        o = self._tuning
         keep, noise = 1.0 - o.forget_per_s * dt_s, 1.0 / dt_s
         a, covariance = state.a, state.covariance
         if keep != 1.0:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -19,13 +19,11 @@ from typing import Any
 import numpy as np
 
 from nff_companion.core.features import COMMAND, NAMES
+from nff_companion.core.tuning import NetworkTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
 
 FORMAT = 1
-# What (6.8) may amount to at the nominal allocation, and in flight with the allocation then in force.
-CONTRACTION_MAX = 1.0
-_OUTSIDE = 0.15  # inputs are held within the range of the training flights, and this share of it more
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,7 @@ class Basis:
     axis_scale: np.ndarray  # (n,) SI
     prior: np.ndarray  # a0 (k + 1, n)
     metadata: dict[str, Any]
+    tuning: NetworkTuning = field(default_factory=NetworkTuning)
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """phi (k + 1,), the last one 1, of an input vector (d,)."""
@@ -77,11 +76,11 @@ class Basis:
 
     @cached_property
     def _lowest(self) -> np.ndarray:
-        return self.low - _OUTSIDE * (self.high - self.low)
+        return self.low - self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
     def _highest(self) -> np.ndarray:
-        return self.high + _OUTSIDE * (self.high - self.low)
+        return self.high + self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
     def spectral_norms(self) -> tuple[float, ...]:
@@ -112,13 +111,14 @@ class Basis:
 
     def project(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> np.ndarray:
         """a (k + 1, n), its network part shortened until (6.8) holds for A of norm ``allocation_norm``."""
-        if self._contraction_bound(a, vehicle, allocation_norm) < CONTRACTION_MAX:
+        most = self.tuning.contraction_max
+        if self._contraction_bound(a, vehicle, allocation_norm) < most:
             return a
         size = self.contraction(a, vehicle, allocation_norm)
-        if size < CONTRACTION_MAX:
+        if size < most:
             return a
         out = a.copy()
-        out[:-1] *= 0.999 * CONTRACTION_MAX / size
+        out[:-1] *= self.tuning.contraction_kept * most / size
         return out
 
     def save(self, path: Path) -> None:
@@ -197,14 +197,14 @@ def path_of(name: str) -> Path:
     return Path(str(resources.files("nff_companion") / "networks" / f"{name}.npz"))
 
 
-def for_vehicle(vehicle: Vehicle, choice: str) -> Basis | None:
+def for_vehicle(vehicle: Vehicle, choice: str, tuning: NetworkTuning | None = None) -> Basis | None:
     """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, ``none``, a shipped name or
     a path. None: a constant basis. Raises NetworkError, also when the network breaks (6.8) with the nominal
     allocation."""
     name = vehicle.network if choice == "airframe" else "" if choice == "none" else choice
     if not name:
         return None
-    basis = load(path_of(name))
+    basis = replace(load(path_of(name)), tuning=tuning or NetworkTuning())
     check(basis, vehicle, name)
     return basis
 
@@ -214,9 +214,9 @@ def check(basis: Basis, vehicle: Vehicle, name: str) -> None:
     if len(basis.axis_scale) != vehicle.axes:
         raise NetworkError(f"network {name} covers {len(basis.axis_scale)} axes, {vehicle.name} has {vehicle.axes}")
     nominal = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
-    size = basis.contraction(basis.prior, vehicle, nominal)
-    if not size < CONTRACTION_MAX:
+    size, most = basis.contraction(basis.prior, vehicle, nominal), basis.tuning.contraction_max
+    if not size < most:
         raise NetworkError(
             f"network {name} breaks (6.8) on {vehicle.name}: sigma(A) Lip_u(phi) |a| = {size:.2f}, below"
-            f" {CONTRACTION_MAX} is needed: its answer to its own command would not settle; train it with a lower cap"
+            f" {most} is needed: its answer to its own command would not settle; train it with a lower cap"
         )

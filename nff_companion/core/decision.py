@@ -10,35 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import combinations
 
-import msgspec
 import numpy as np
 
 from nff_companion.core import hypotheses
 from nff_companion.core.onset import OnsetSums
-
-
-class DecisionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thresholds of the decision. Improvements in nats of the weighted residual."""
-
-    improvement_min: float = 18.0  # over "no failure": mean time between false alarms grows as its exponential
-    margin_min: float = 6.0  # over the next hypothesis
-    pair_min: float = 6.0  # that only a second motor brings, to need a second motor
-    explained_min: float = 0.70  # share of the residual's energy that the hypothesis explains
-    loss_sudden: float = 0.62  # least loss of each motor named, by the onset windows
-    loss_settled: float = 0.78  # least mean loss, where an onset is old enough for its loss to be known well, and of
-    # two named at once: partly lost, two motors can look like any gust
-    settled_s: float = 0.095
-    loss_gradual: float = 0.72  # by the sparse estimate: 1 - xi
-    loss_others: float = 0.30  # of a second motor, beside which nothing gradual is declared
-    confirm_s: float = 0.008
-    confirm_gradual_s: float = 0.3
-    confirm_ambiguous_s: float = 0.015  # for pairs, which have more look-alikes
-    failed_max: int = 4
-    lift_effectiveness: float = 0.8
-    lift_driven: float = 0.15  # thrust fraction that counts as driven
-    lift_s: float = 1.5
-    direct_min: float = 4.0  # improvement, where rotor speeds already name the motors
-    direct_behind: float = 3.0  # by which another hypothesis may be better then
+from nff_companion.core.tuning import DecisionTuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,21 +69,21 @@ class DecisionState:
 class Decision:
     """Thresholds and the hypotheses of an airframe with m motors."""
 
-    def __init__(self, motors: int, axes: int, options: DecisionOptions) -> None:
-        self.options = options
+    def __init__(self, motors: int, axes: int, tuning: DecisionTuning) -> None:
+        self.tuning = tuning
         # With fewer motors than axes left nothing can be told apart, nor done about it.
-        self._failed_max = max(1, min(options.failed_max, motors - axes))
+        self._failed_max = max(1, min(tuning.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
     def best(self, sums: OnsetSums, failed: np.ndarray, gamma: float) -> Hypothesis | None:
         """The hypothesis that explains the windows best, None when none improves enough."""
-        o = self.options
+        o = self.tuning
         nuisance = np.flatnonzero(failed)
         matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
         one = hypotheses.singles(matrix, vector, gamma)
         one_best = one.improvement.max(axis=0)  # over onsets
         first = int(one_best.argmax())
-        if one_best[first] < 0.5 * o.improvement_min:
+        if one_best[first] < o.look_share * o.improvement_min:
             return None
         pairs = self._pairs
         if len(nuisance):
@@ -129,7 +105,7 @@ class Decision:
     def direct(self, sums: OnsetSums, failed: np.ndarray, stopped: tuple[int, ...], gamma: float) -> Hypothesis | None:
         """The hypothesis that exactly the motors ``stopped`` (indices), which stand still by their rotor speeds, have
         failed; None when the residual does not agree."""
-        o = self.options
+        o = self.tuning
         matrix, vector, energy, _ = hypotheses.without_nuisance(
             sums.matrix, sums.vector, sums.energy, np.flatnonzero(failed)
         )
@@ -147,7 +123,7 @@ class Decision:
         if best[index] < o.direct_min or rival - best[index] > o.direct_behind:
             return None
         found = self._describe(stopped, scores, index, matrix, vector, energy, sums, others, np.zeros(0))
-        return found if max(found.loss) <= -0.5 * o.loss_sudden else None
+        return found if max(found.loss) <= -o.direct_loss_share * o.loss_sudden else None
 
     @staticmethod
     def _describe(
@@ -192,7 +168,7 @@ class Decision:
         speeds, and the residual agrees."""
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
-        if best is None and direct is None and True not in before and min(eta) > 1.0 - self.options.loss_gradual:
+        if best is None and direct is None and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
             return (state if state.quiet else DecisionState.start(len(eta))), []
         works = (eta, deviation.tolist(), driven.tolist())
         new = DecisionState(failed=state.failed)
@@ -219,7 +195,7 @@ class Decision:
             return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
-        wait = self.options.confirm_s if len(best.motors) == 1 else self.options.confirm_ambiguous_s
+        wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
         if time_s - new.since_s >= wait - 1e-9 and len(best.motors) <= room:
             return self._declare(new, time_s, best, best.confidence)
         new.candidate = best.motors
@@ -245,12 +221,13 @@ class Decision:
     ) -> list[Event]:
         """Gradual losses, by the sparse estimate alone: of one motor, while the others are whole. Several partial
         losses at once have look-alikes, and are what air that the model does not know looks like."""
-        o = self.options
+        o = self.tuning
         failed: list[bool] = new.failed.tolist()
         left = [i for i, declared in enumerate(failed) if not declared]
         if sum(1.0 - eta[i] > o.loss_others for i in left) != 1:
             return []
-        low = [i for i in left if 1.0 - eta[i] > o.loss_gradual and deviation[i] < 0.25 and driven[i] > o.lift_driven]
+        sure = [i for i in left if deviation[i] < o.deviation_gradual_max and driven[i] > o.lift_driven]
+        low = [i for i in sure if 1.0 - eta[i] > o.loss_gradual]
         new.gradual_since_s = {i: state.gradual_since_s.get(i, time_s) for i in low}
         ready = [i for i, since_s in new.gradual_since_s.items() if time_s - since_s >= o.confirm_gradual_s]
         if len(ready) != 1 or sum(failed) >= self._failed_max:
@@ -271,12 +248,10 @@ class Decision:
         driven: list[float],
     ) -> list[Event]:
         """Evidence that a declared motor works while it is driven."""
-        o = self.options
-        well = [
-            i
-            for i, declared in enumerate(state.failed.tolist())
-            if declared and eta[i] > o.lift_effectiveness and deviation[i] < 0.15 and driven[i] > o.lift_driven
-        ]
+        o = self.tuning
+        declared = [i for i, failed in enumerate(state.failed.tolist()) if failed]
+        sure = [i for i in declared if deviation[i] < o.deviation_lift_max and driven[i] > o.lift_driven]
+        well = [i for i in sure if eta[i] > o.lift_effectiveness]
         new.healthy_since_s = {i: state.healthy_since_s.get(i, time_s) for i in well}
         lifted = [i for i, since_s in new.healthy_since_s.items() if time_s - since_s >= o.lift_s]
         if lifted:
@@ -285,7 +260,7 @@ class Decision:
         return [Event(time_s, i + 1, False, eta[i], 1.0) for i in lifted]
 
     def _convincing(self, best: Hypothesis) -> bool:
-        o = self.options
+        o = self.tuning
         settled = best.age_s > o.settled_s or len(best.motors) > 1
         return (
             best.improvement >= o.improvement_min

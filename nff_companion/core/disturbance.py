@@ -12,48 +12,40 @@ from typing import Protocol
 
 import numpy as np
 
-from nff_companion.core.adaptation import Adaptation, AdaptationOptions, AdaptationState
+from nff_companion.core.adaptation import Adaptation, AdaptationState
 from nff_companion.core.filters import lag_share
+from nff_companion.core.tuning import DisturbanceTuning, Tuning
 from nff_companion.core.vehicle import Vehicle
-
-_SPREAD_S = 4.0
-_SPREAD_LIMIT = 3.0  # one sample counts at most this many deviations: a fault must not become usual
-# Least deviation, as a share of what the loss of one motor at hover gives on that axis: errors of the model that
-# scale with the thrusts (mass, inertia, lag) and never show while flying steadily. Thrust, roll, pitch, yaw.
-_FLOOR_SHARE = np.array([0.30, 0.07, 0.07, 0.20])
-_FLOOR = np.array([0.20, 0.35, 0.35, 0.10])  # sensors: m/s^2, rad/s^2
-# The slow residual may not grow into the place of a lost motor: a vehicle already failed when we start shows.
-_MEAN_SHARE_MAX = np.array([2.5, 0.40, 0.40, 1.5])
-_CEILING_SHARE = np.array([1.0, 0.35, 0.35, 1.0])
-CORRELATION_S = 0.025  # of the residual after its filters: samples closer than this are not independent
-
-
-_STALE_S = 2.0  # without attitude or velocity, phi goes from its last value to the constant alone
-_SHARE_PRIOR, _SHARE_PRIOR_DEVIATION = 0.5, 0.35
-_SHARE_DRIFT_PER_S = 2e-5  # variance
 
 
 @dataclass(slots=True)
 class SideDragState:
     """Share of the lateral drag that acts at the rotors, and its variance: a basis of one function of (x, u)."""
 
-    share: float = _SHARE_PRIOR
-    variance: float = _SHARE_PRIOR_DEVIATION**2
+    share: float
+    variance: float
+
+    @staticmethod
+    def start(tuning: DisturbanceTuning) -> SideDragState:
+        """Before any of it was seen."""
+        return SideDragState(share=tuning.share_prior, variance=tuning.share_prior_deviation**2)
 
 
-def learn_side_drag(state: SideDragState, slope: float, residual: float, variance: float, dt_s: float) -> SideDragState:
+def learn_side_drag(
+    state: SideDragState, slope: float, residual: float, variance: float, dt_s: float, tuning: DisturbanceTuning
+) -> SideDragState:
     """One Kalman step (Joseph form in one dimension) on the yaw residual.
 
     ``slope``: yaw acceleration for share 1 at the present thrusts; ``residual``: yaw residual left with the present
     share; ``variance`` of it in steady flight.
     """
-    prior = state.variance + _SHARE_DRIFT_PER_S * dt_s
-    noise = variance * CORRELATION_S / dt_s
+    prior = state.variance + tuning.share_drift_per_s * dt_s
+    noise = variance * tuning.correlation_s / dt_s
     gain = prior * slope / (slope * slope * prior + noise)
     keep = 1.0 - gain * slope
     return SideDragState(
-        share=min(max(state.share + gain * residual, 0.0), 1.2),
-        variance=min(keep * prior * keep + gain * noise * gain, _SHARE_PRIOR_DEVIATION**2),
+        share=min(max(state.share + gain * residual, 0.0), tuning.share_max),
+        variance=min(keep * prior * keep + gain * noise * gain, tuning.share_prior_deviation**2),
     )
 
 
@@ -101,21 +93,24 @@ class Disturbance:
         self,
         vehicle: Vehicle,
         network: Basis | None = None,
-        options: AdaptationOptions | None = None,
+        tuning: Tuning | None = None,
         *,
         bounded: bool = True,
     ) -> None:
+        whole = tuning or Tuning()
+        o = self._tuning = whole.disturbance
+        self._step_max_s = whole.adaptation.step_max_s
         loss = vehicle.acceleration_effectiveness * vehicle.hover
         self.loss_scale = np.sqrt((loss**2).mean(axis=1))
-        self.floor = np.maximum(_FLOOR_SHARE * self.loss_scale, _FLOOR)
-        self.ceiling = np.maximum(_CEILING_SHARE * self.loss_scale, self.floor)
+        self.floor = np.maximum(np.array(o.floor_share) * self.loss_scale, o.floor)
+        self.ceiling = np.maximum(np.array(o.ceiling_share) * self.loss_scale, self.floor)
         self._floor_squared, self._ceiling_squared = self.floor**2, self.ceiling**2
-        self._adapted_max = (_MEAN_SHARE_MAX if bounded else np.inf) * self.loss_scale
+        self._adapted_max = (np.array(o.mean_share_max) if bounded else np.inf) * self.loss_scale
         self._adapted_min = -self._adapted_max
         self._vehicle, self.network = vehicle, network
         constant = np.zeros((1, vehicle.axes))
         self._scale = np.ones(vehicle.axes) if network is None else network.axis_scale
-        self._adaptation = Adaptation(constant if network is None else network.prior, options or AdaptationOptions())
+        self._adaptation = Adaptation(constant if network is None else network.prior, whole.adaptation)
         # Until the network is given what it looks at, the constant stands alone.
         self._blind = np.eye(len(self._adaptation.prior))[-1]
 
@@ -129,7 +124,7 @@ class Disturbance:
 
     def noise_weight(self, state: DisturbanceState) -> np.ndarray:
         """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
-        return 1.0 / (self.variance(state) * CORRELATION_S)
+        return 1.0 / (self.variance(state) * self._tuning.correlation_s)
 
     def basis(self, state: DisturbanceState, features: np.ndarray | None, dt_s: float) -> np.ndarray:
         """phi (k + 1,); without ``features`` the last one fades: what it said of the speed grows old, and a jump to the
@@ -137,7 +132,7 @@ class Disturbance:
         if self.network is None:
             return state.basis
         if features is None:
-            return state.basis + lag_share(dt_s, _STALE_S) * (self._blind - state.basis)
+            return state.basis + lag_share(dt_s, self._tuning.stale_s) * (self._blind - state.basis)
         return self.network(features)
 
     def expect(self, state: DisturbanceState, basis: np.ndarray) -> Expectation:
@@ -174,12 +169,13 @@ class Disturbance:
     ) -> DisturbanceState:
         """One sample of the raw residual y (n,), of which ``expectation`` was expected in ``state``; ``rate`` scales
         the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8)."""
-        adaptation, variance = state.adaptation, state.variance
+        o, adaptation, variance = self._tuning, state.adaptation, state.variance
         if rate > 0.0:
-            adaptation = self._adapted(adaptation, expectation, residual, min(rate * dt_s, 0.5))
+            adaptation = self._adapted(adaptation, expectation, residual, min(rate * dt_s, self._step_max_s))
             around = residual - expectation.believed
-            most = _SPREAD_LIMIT**2 * np.maximum(variance, self._floor_squared)
-            variance = variance + min(rate * dt_s / _SPREAD_S, 0.5) * (np.minimum(around * around, most) - variance)
+            most = o.spread_limit**2 * np.maximum(variance, self._floor_squared)
+            share = min(rate * dt_s / o.spread_s, o.spread_step_max)
+            variance = variance + share * (np.minimum(around * around, most) - variance)
         adaptation = self._projected(adaptation, allocation_norm)
         return DisturbanceState(adaptation=adaptation, basis=expectation.basis, variance=variance)
 

@@ -19,10 +19,8 @@ import msgspec
 import numpy as np
 
 from nff_companion.core import hypotheses, sparse
-from nff_companion.core.adaptation import AdaptationOptions
-from nff_companion.core.decision import Decision, DecisionOptions, DecisionState, Event, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import (
-    CORRELATION_S,
     Basis,
     Disturbance,
     DisturbanceState,
@@ -34,31 +32,9 @@ from nff_companion.core.features import features
 from nff_companion.core.filters import lag_share
 from nff_companion.core.onset import OnsetBank, OnsetState
 from nff_companion.core.residual import ResidualFilter, ResidualState
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, YAW, Vehicle
 from nff_companion.errors import SolverError
-
-_SUSPICIOUS = 3.0  # deviations of the residual on one axis from which hypotheses are compared
-_LEARN_FAST_S = 1.0  # after the start of a flight the disturbance is learnt quickly
-_LEARN_FAST_RATE = 6.0
-_FREEZE_MAX_S = 1.0
-# What a few motors explain this well is theirs, and not learnt for longer, although they may not be told apart yet.
-_SURE_EXPLAINED, _FREEZE_SURE_S = 0.9, 8.0
-_STEADY_S = 0.4  # what the motors do for longer than this is steady flight
-_CLEAR_LOSS, _FEW = 0.12, 2  # a loss that counts as one, and of how many motors at most: more is a disturbance
-
-
-class EstimatorOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Tuning of the estimator; one set for all airframes (losses and noises are scaled by the airframe)."""
-
-    forgetting_per_s: float = 8.0  # w_f of the sparse estimate
-    gamma: float = 20.0  # l1 weight, nats
-    solve_interval_s: float = 0.01  # of the sparse program; its sums take every sample
-    gamma_onset: float = 1.0
-    identify: bool = True  # False: no loss is looked for, total or partial
-    network: str = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
-    joint: float = 0.0  # 0: phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md)
-    adaptation: AdaptationOptions = AdaptationOptions()
-    decision: DecisionOptions = DecisionOptions()
 
 
 @dataclass(slots=True)
@@ -138,23 +114,27 @@ class _Seen:
 
 
 class Estimator:
-    """Constants of one airframe and sample time; ``network`` None: a constant basis."""
+    """Constants of one airframe and sample time."""
 
-    def __init__(self, vehicle: Vehicle, dt_s: float, options: EstimatorOptions, network: Basis | None = None) -> None:
-        self.vehicle, self.dt_s, self.options, self.network = vehicle, dt_s, options, network
-        self._filter = ResidualFilter(vehicle, dt_s)
-        self._disturbance = Disturbance(vehicle, network, options.adaptation, bounded=options.identify)
-        self._onset = OnsetBank(
-            vehicle.axes,
-            vehicle.motors,
-            vehicle.inertia_kg_m2,
-            dt_s,
-            vehicle.motor.time_constant_down_s,
-            self._filter.low_pass,
-            options.joint,
-        )
-        self._steady = lag_share(dt_s, _STEADY_S)
-        self._decision = Decision(vehicle.motors, vehicle.axes, options.decision)
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        dt_s: float,
+        tuning: Tuning | None = None,
+        network: Basis | None = None,
+        *,
+        identify: bool = True,
+        joint: float = 0.0,
+    ) -> None:
+        """``network`` None: a constant basis. ``identify`` False: no loss is looked for, total or partial. ``joint``:
+        0, phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md)."""
+        o = self.tuning = tuning or Tuning()
+        self.vehicle, self.dt_s, self.network, self.identify = vehicle, dt_s, network, identify
+        self._filter = ResidualFilter(vehicle, dt_s, o.residual)
+        self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
+        self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
+        self._steady = lag_share(dt_s, o.estimator.steady_s)
+        self._decision = Decision(vehicle.motors, vehicle.axes, o.decision)
 
     def start(
         self,
@@ -172,7 +152,7 @@ class Estimator:
         return EstimatorState(
             residual=self._filter.start(gyro, specific_force, command),
             disturbance=self._disturbance.start(),
-            side_drag=SideDragState(),
+            side_drag=SideDragState.start(self.tuning.disturbance),
             information=sparse.Information.empty(m),
             onset=self._onset.start(),
             steady=command.copy(),
@@ -217,9 +197,9 @@ class Estimator:
         best = direct = None
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
         decision, events = state.decision, list[Event]()
-        if self.options.identify:
+        if self.identify:
             best, direct = self._weigh(state, seen, onset, measurement.stopped)
-            if time_s - solved_s >= self.options.solve_interval_s - 1e-9:
+            if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness, deviation = self._effectiveness(information, decision.failed)
             command = measurement.command
@@ -300,7 +280,7 @@ class Estimator:
         """S and q, the history of the onsets, and the slow part of w, with this sample."""
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
         information = sparse.update(
-            state.information, matrix * w, seen.residual, seen.noise_weight, dt_s, self.options.forgetting_per_s
+            state.information, matrix * w, seen.residual, seen.noise_weight, dt_s, self.tuning.sparse.forgetting_per_s
         )
         steady = state.steady + self._steady * (w - state.steady)
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
@@ -314,28 +294,28 @@ class Estimator:
         if stopped is not None and True in stopped.tolist():
             hint = tuple(np.flatnonzero(stopped & ~failed).tolist())
         largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
-        if not hint and largest * CORRELATION_S <= _SUSPICIOUS**2:
+        if not hint and largest * self.tuning.disturbance.correlation_s <= self.tuning.estimator.suspicious**2:
             return None, None
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
         yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
         variance = self._disturbance.variance(state.disturbance)
         sums = self._onset.sums(onset, seen.effectiveness_matrix, variance, yaw_error)
-        gamma = self.options.gamma_onset
+        gamma = self.tuning.onset.gamma_onset
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         return self._decision.best(sums, failed, gamma), direct
 
     def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""
-        deviation = sparse.deviation(information)
+        deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
         if True not in failed.tolist():
-            return 1.0 + sparse.solve(information, self.options.gamma), deviation
+            return 1.0 + sparse.solve(information, self.tuning.sparse.gamma), deviation
         nuisance = np.flatnonzero(failed)
         matrix, vector, energy, free = hypotheses.without_nuisance(
             information.matrix, information.vector, np.asarray(information.energy), nuisance
         )
         rest = sparse.Information(matrix=matrix, vector=vector, energy=float(energy))
-        eta = 1.0 + sparse.solve(rest, self.options.gamma)
-        eta[nuisance] = np.minimum(np.maximum(free, 0.0), 1.2)
+        eta = 1.0 + sparse.solve(rest, self.tuning.sparse.gamma)
+        eta[nuisance] = np.minimum(np.maximum(free, 0.0), self.tuning.sparse.free_max)
         return eta, deviation
 
     def _learn(
@@ -349,7 +329,7 @@ class Estimator:
     ) -> tuple[DisturbanceState, SideDragState]:
         """a, and the rotors' share of the drag, from what no motor explains."""
         rest, dt_s = seen.raw, measurement.dt_s
-        explained = self._explained(effectiveness, failed) if self.options.identify else None
+        explained = self._explained(effectiveness, failed) if self.identify else None
         if explained is not None:
             rest = rest - seen.effectiveness_matrix.dot(seen.filtered.thrust_shown * explained)
         norm = measurement.allocation_norm
@@ -357,28 +337,28 @@ class Estimator:
         if rate != 1.0:
             return disturbance, state.side_drag
         slope, yaw = float(seen.side_drag.dot(seen.thrust_left)), float(seen.residual[YAW])
-        return disturbance, learn_side_drag(state.side_drag, slope, yaw, float(disturbance.variance[YAW]), dt_s)
+        variance = float(disturbance.variance[YAW])
+        return disturbance, learn_side_drag(state.side_drag, slope, yaw, variance, dt_s, self.tuning.disturbance)
 
-    @staticmethod
-    def _explained(effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
+    def _explained(self, effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
         too: the loss of a few, and what declared motors still give. None: nothing."""
-        eta, declared = effectiveness.tolist(), failed.tolist()
-        if min(eta) >= 1.0 - _CLEAR_LOSS and True not in declared:
+        o, eta, declared = self.tuning.estimator, effectiveness.tolist(), failed.tolist()
+        if min(eta) >= 1.0 - o.clear_loss and True not in declared:
             return None
-        lost = [not gone and e - 1.0 < -_CLEAR_LOSS for e, gone in zip(eta, declared, strict=True)]
-        few = 0 < sum(lost) <= _FEW
+        lost = [not gone and e - 1.0 < -o.clear_loss for e, gone in zip(eta, declared, strict=True)]
+        few = 0 < sum(lost) <= o.few
         if not few and True not in declared:
             return None
         each = zip(eta, declared, lost, strict=True)
         return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
-    @staticmethod
     def _learning_rate(
-        time_s: float, started_s: float, suspicious_since_s: float | None, best: Hypothesis | None
+        self, time_s: float, started_s: float, suspicious_since_s: float | None, best: Hypothesis | None
     ) -> float:
         """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
+        o = self.tuning.estimator
         if best is not None and suspicious_since_s is not None:
-            longest = _FREEZE_SURE_S if best.explained > _SURE_EXPLAINED else _FREEZE_MAX_S
-            return 0.0 if time_s - suspicious_since_s < longest else 0.3
-        return _LEARN_FAST_RATE if time_s - started_s < _LEARN_FAST_S else 1.0
+            longest = o.freeze_sure_s if best.explained > o.sure_explained else o.freeze_max_s
+            return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
+        return o.learn_fast_rate if time_s - started_s < o.learn_fast_s else 1.0

@@ -11,24 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nff_companion.core.disturbance import CORRELATION_S
 from nff_companion.core.filters import LowPass, loss_response
-from nff_companion.core.residual import SMOOTHING_S
-from nff_companion.core.vehicle import PITCH, ROLL, YAW
-
-# Ages of the onsets compared, in s.
-_AGES_S = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.16, 0.2)
-
-
-# Errors of the model grow with the residual itself (inertia, arm, thrust): this share of it, on each axis, is not
-# evidence. It keeps a large torque from drowning what the other axes say.
-MODEL_ERROR_SHARE = 0.10
-# So do errors with what the motors do beyond the steady part, which phi a has learnt. Of all together: inertia, thrust.
-# Of each for itself: in forward flight one rotor flies in another's wake and gives a fifth less.
-TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = 0.12, 0.12
-YAW_ERROR_SHARE = 0.02  # yaw torque as a share of roll and pitch torque, besides the side drag
-# Windows for a loss that is older than the memory: it has been there in full all along.
-_STANDING_S = (0.1, 0.2)
+from nff_companion.core.tuning import Tuning
+from nff_companion.core.vehicle import PITCH, ROLL, YAW, Vehicle
 
 
 @dataclass(slots=True)
@@ -57,22 +42,17 @@ class OnsetBank:
     """Constants for one airframe (n axes, m motors) and sample time."""
 
     def __init__(
-        self,
-        axes: int,
-        motors: int,
-        inertia_kg_m2: np.ndarray,
-        dt_s: float,
-        lag_down_s: float,
-        low_pass: LowPass | None,
-        joint: float = 0.0,
+        self, vehicle: Vehicle, dt_s: float, low_pass: LowPass | None, tuning: Tuning, *, joint: float = 0.0
     ) -> None:
         """``joint``: 0, y - phi a is taken as it is; else phi a may be off by so many deviations of the residual, and
         is estimated together with the losses."""
-        counts = sorted({max(round(age / dt_s), 2) for age in _AGES_S})
-        self._axes, self._motors, self._joint = axes, motors, joint
+        o = self._tuning = tuning.onset
+        counts = sorted({max(round(age / dt_s), 2) for age in o.ages_s})
+        self._axes, self._motors, self._joint = vehicle.axes, vehicle.motors, joint
         self.length, self._dt = counts[-1], dt_s
-        standing = [max(round(age / dt_s), 2) for age in _STANDING_S]
-        response = loss_response(dt_s, self.length, lag_down_s, low_pass, SMOOTHING_S)
+        standing = [max(round(age / dt_s), 2) for age in o.standing_s]
+        lag_s, smoothing_s = vehicle.motor.time_constant_down_s, tuning.residual.smoothing_s
+        response = loss_response(dt_s, self.length, lag_s, low_pass, smoothing_s)
         rows = len(counts) + len(standing)
         self._response = np.zeros((rows, self.length))
         self._inside = np.zeros((rows, self.length))
@@ -86,8 +66,10 @@ class OnsetBank:
         self._counts = np.array(counts + standing)
         self._mean = self._inside / self._counts[:, None]
         self.age_s = self._counts * dt_s
-        self._error = MODEL_ERROR_SHARE**2 * np.eye(self._axes)
-        self._yaw_share = (inertia_kg_m2[:2] / inertia_kg_m2[2]) ** 2
+        self._correlation_s = tuning.disturbance.correlation_s
+        self._error = o.model_error_share**2 * np.eye(self._axes)
+        inertia = vehicle.inertia_kg_m2
+        self._yaw_share = (inertia[:2] / inertia[2]) ** 2
 
     def start(self) -> OnsetState:
         """Empty history."""
@@ -128,7 +110,7 @@ class OnsetBank:
         w, y = state.thrust_shown[last], state.residual[last]
         squared = y * y
         total = self._total_variance(state, last, squared, variance, yaw_error)
-        noise_weight = self._dt / (CORRELATION_S * total)  # (n,)
+        noise_weight = self._dt / (self._correlation_s * total)  # (n,)
         weighted = b * noise_weight[:, None]
         outer = self._squared.dot((w[:, :, None] * w[:, None, :]).reshape(-1, m * m))  # (K, m m)
         product = self._response.dot((y[:, :, None] * w[:, None, :]).reshape(-1, n * m))  # (K, n m)
@@ -142,12 +124,12 @@ class OnsetBank:
     ) -> np.ndarray:
         """Variance (n,) of y by noise and by errors of the model. One for all windows: their improvements are then
         likelihoods of the same data. ``squared`` (L, n) y^2."""
-        error = self._error.copy()
-        error[YAW, ROLL : PITCH + 1] = self._yaw_share * (YAW_ERROR_SHARE**2 + yaw_error**2)
+        o, error = self._tuning, self._error.copy()
+        error[YAW, ROLL : PITCH + 1] = self._yaw_share * (o.yaw_error_share**2 + yaw_error**2)
         unsteady = state.thrust_shown[last] - state.steady[last]
         beyond = state.effectiveness_matrix[last] * unsteady[:, None, :]
         together, single = beyond.sum(axis=2), (beyond * beyond).sum(axis=2)
-        doubtful = TOGETHER_ERROR_SHARE**2 * together * together + SINGLE_ERROR_SHARE**2 * single
+        doubtful = o.together_error_share**2 * together * together + o.single_error_share**2 * single
         level, doubt = self._mean.dot(squared).max(axis=0), self._mean.dot(doubtful).max(axis=0)
         return np.asarray(variance + error.dot(level) + doubt)
 

@@ -3,7 +3,7 @@
     y = x' - f(x) - B0 u,   x' = (upward specific force, angular acceleration)
 
 The angular acceleration is the difference of two gyro samples over their interval, smoothed by a first-order lag of
-``SMOOTHING_S``; differentiation at full rate would hand on the gyro's noise times the sample rate. Model and
+``smoothing_s``; differentiation at full rate would hand on the gyro's noise times the sample rate. Model and
 measurement pass the *same* chain: the modelled thrust goes through the motor's lag, the autopilot's own gyro filter,
 the mean over the sample interval and the same smoothing. So the chain costs delay (about 8 ms for the smoothing and
 11 ms for a 20 Hz gyro filter) but leaves no mismatch in transients, and y stays linear in the effectiveness:
@@ -24,11 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nff_companion.core.filters import LowPass, lag_share
+from nff_companion.core.tuning import ResidualTuning
 from nff_companion.core.vehicle import YAW, Vehicle
-
-SMOOTHING_S = 0.008
-_IDLE = 0.02  # least thrust fraction of a rotor that turns
-_LATERAL_S = 0.15  # slow smoothing of the lateral specific force
 
 Vector = tuple[float, float, float]
 
@@ -64,14 +61,14 @@ class ResidualState:
 
     @property
     def lateral_slow_m_s2(self) -> np.ndarray:
-        """(2,) specific force along x and y, smoothed for ``_LATERAL_S``."""
+        """(2,) specific force along x and y, smoothed for ``lateral_s``."""
         return self.smoothed[9:]
 
 
 class ResidualFilter:
     """Constants of one airframe at one sample time; ``step`` takes and returns the state."""
 
-    def __init__(self, vehicle: Vehicle, dt_s: float) -> None:
+    def __init__(self, vehicle: Vehicle, dt_s: float, tuning: ResidualTuning = ResidualTuning()) -> None:  # noqa: B008
         motor, telemetry = vehicle.motor, vehicle.telemetry
         self._up, self._down = lag_share(dt_s, motor.time_constant_up_s), lag_share(dt_s, motor.time_constant_down_s)
         # Of the two ways that the lag could go, up or down, the larger is the one taken where up is the faster.
@@ -80,8 +77,9 @@ class ResidualFilter:
         self.low_pass = LowPass.design(gyro, dt_s)
         # Where one sensor alone is filtered, the other is given the same filter here.
         self._sensor_low_pass = LowPass.design(gyro, dt_s) if gyro and not accelerometer else None
-        self._smooth = lag_share(dt_s, SMOOTHING_S)
-        self._shares = np.array([self._smooth] * 9 + [lag_share(dt_s, _LATERAL_S)] * 2)
+        self._smooth = lag_share(dt_s, tuning.smoothing_s)
+        self._shares = np.array([self._smooth] * 9 + [lag_share(dt_s, tuning.lateral_s)] * 2)
+        self._idle = tuning.idle
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._nominal = vehicle.acceleration_effectiveness
         x, y = vehicle.position_m.T
@@ -110,7 +108,7 @@ class ResidualFilter:
 
         A rotor's share of the drag goes with its speed, the root of its thrust.
         """
-        speed = np.sqrt(np.maximum(state.thrust_shown, _IDLE))
+        speed = np.sqrt(np.maximum(state.thrust_shown, self._idle))
         return state.lateral_slow_m_s2.dot(self._side_drag) / (speed * speed.sum())
 
     def effectiveness_matrix(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:

@@ -11,23 +11,9 @@ import math
 from dataclasses import dataclass
 from statistics import median
 
-import msgspec
 import numpy as np
 
-
-class RotorSpeedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thresholds. Shares are of the speed that the motor's own history leads one to expect."""
-
-    driven: float = 0.05  # thrust fraction below which a motor may stand still
-    stopped_share: float = 0.35  # an eighth of the thrust
-    turning_share: float = 0.5
-    fresh_s: float = 0.1  # older readings say nothing
-    frozen_s: float = 0.4  # the same reading for so long: the sender has stopped
-    proven_s: float = 1.0  # of good readings, to be believed
-    ratio_s: float = 0.5  # time constant of the expected speed
-    readings: int = 2  # in a row
-    at_once_max: int = 2  # more motors than this stop together: it is the telemetry
-    fault_s: float = 0.5  # stands still by telemetry, pulls by the residual: a sensor fault
+from nff_companion.core.tuning import RotorSpeedTuning
 
 
 @dataclass(slots=True)
@@ -75,9 +61,9 @@ class _Look:
 class RotorSpeedWatch:
     """Constants of m motors; ``step`` changes the state in place."""
 
-    def __init__(self, motors: int, options: RotorSpeedOptions | None = None) -> None:
+    def __init__(self, motors: int, tuning: RotorSpeedTuning | None = None) -> None:
         self.motors = motors
-        self.options = options or RotorSpeedOptions()
+        self.tuning = tuning or RotorSpeedTuning()
         self._none = np.zeros(motors, bool)
         self._none.flags.writeable = False
 
@@ -86,8 +72,8 @@ class RotorSpeedWatch:
     ) -> np.ndarray:
         """(m,) bool: motors that are driven and stand still. ``speed`` (m,) rad/s with the times ``read_s`` (m,) of
         their readings, NaN: none; ``thrust`` (m,) fractions asked for."""
-        o = self.options
-        dt_s = min(max(time_s - state.last_s, 0.0), 0.05)
+        o = self.tuning
+        dt_s = min(max(time_s - state.last_s, 0.0), o.step_max_s)
         state.last_s = time_s
         speeds = speed.tolist()
         if not state.heard:
@@ -119,7 +105,7 @@ class RotorSpeedWatch:
 
     def _look(self, motor: MotorSpeed, speed: float, read_s: float, thrust: float, time_s: float) -> _Look:
         """Take one reading."""
-        o = self.options
+        o = self.tuning
         fresh = 0.0 <= speed < math.inf and abs(time_s - read_s) <= o.fresh_s  # comparisons with NaN are false
         new = fresh and motor.reading_s != read_s
         if fresh:
@@ -130,7 +116,7 @@ class RotorSpeedWatch:
         unknown = math.isnan(motor.ratio)
         expected = math.inf if unknown else motor.ratio * root
         alive = fresh and time_s - motor.changed_s <= o.frozen_s
-        turning = alive and driven and speed > 1.0 and (unknown or speed > o.turning_share * expected)
+        turning = alive and driven and speed > o.turning_min_rad_s and (unknown or speed > o.turning_share * expected)
         low = fresh and driven and not unknown and speed < o.stopped_share * expected
         return _Look(motor, speed, speed / root, new, fresh, alive, driven, turning, low)
 
@@ -138,11 +124,11 @@ class RotorSpeedWatch:
         """The speed that each motor's own history leads one to expect, and for how long its telemetry has been good."""
         ratios = [look.ratio for look in looks if look.turning]
         middle = median(ratios) if ratios else math.nan
-        share = dt_s / (self.options.ratio_s + dt_s)
+        share = dt_s / (self.tuning.ratio_s + dt_s)
         for look in looks:
             motor = look.motor
             # All motors are of one kind: a reading far from the others is another sender's, or nonsense.
-            if look.turning and abs(look.ratio / middle - 1.0) <= 0.6:
+            if look.turning and abs(look.ratio / middle - 1.0) <= self.tuning.unlike_share:
                 motor.ratio = (
                     look.ratio if math.isnan(motor.ratio) else motor.ratio + share * (look.ratio - motor.ratio)
                 )
@@ -153,14 +139,14 @@ class RotorSpeedWatch:
 
     def _stands_still(self, motor: MotorSpeed, time_s: float) -> bool:
         """After a while without a declaration it is the sensor: its word no longer lowers any threshold."""
-        if motor.count < self.options.readings:
+        if motor.count < self.tuning.readings:
             motor.since_s = math.nan
             return False
         if math.isnan(motor.since_s):
             motor.since_s = time_s
-        return time_s - motor.since_s < self.options.fault_s
+        return time_s - motor.since_s < self.tuning.fault_s
 
     def faults(self, state: RotorSpeedState, failed: np.ndarray) -> np.ndarray:
         """(m,) bool: stopped by telemetry for a while, but nothing was declared: the residual says that they pull."""
-        lasting = [state.last_s - motor.since_s >= self.options.fault_s for motor in state.motors]
+        lasting = [state.last_s - motor.since_s >= self.tuning.fault_s for motor in state.motors]
         return np.array(lasting) & ~failed

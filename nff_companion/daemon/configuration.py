@@ -10,7 +10,7 @@ import msgspec
 
 from nff_companion.companion_state import CompanionOptions
 from nff_companion.condition import Mode
-from nff_companion.core.estimator import EstimatorOptions
+from nff_companion.core.tuning import Tuning, check
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.endpoint import parse
 
@@ -36,6 +36,7 @@ class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     airframe: str
     thrust_to_weight: Annotated[float, msgspec.Meta(gt=1)] | None = None
+    network: str = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
 
 
 class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -53,11 +54,11 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     link: LinkConfig
     vehicle: VehicleConfig
     companion: CompanionConfig = CompanionConfig()
-    estimator: EstimatorOptions = EstimatorOptions()
+    tuning: Tuning = Tuning()
 
     def companion_options(self) -> CompanionOptions:
         """Options of the companion that this file asks for."""
-        return CompanionOptions(allocation=self.companion.allocation, estimator=self.estimator)
+        return CompanionOptions(allocation=self.companion.allocation, tuning=self.tuning)
 
 
 def default_status_socket() -> str:
@@ -82,4 +83,5 @@ def load(path: Path) -> Config:
         raise ConfigError(f"configuration {path}: {error}") from error
     for url in (config.link.endpoint, *config.link.more_endpoints):
         parse(url)
+    check(config.tuning)
     return config

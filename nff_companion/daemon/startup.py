@@ -26,7 +26,7 @@ def prepare(
     link, method = config.link, config.companion.allocation
     instance = 1 + secrets.randbelow(0xFFFF)
     meeting = Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method, instance=instance)
-    network = basis_network.for_vehicle(vehicle, config.estimator.network)
+    network = basis_network.for_vehicle(vehicle, config.vehicle.network, config.tuning.network)
     companion = Companion(vehicle, link.rate_hz, config.companion_options(), network=network)
     options = SessionOptions(
         mode=MODES[config.companion.mode] if act else MODES["observe"],

@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from nff_companion.core.adaptation import AdaptationOptions
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.disturbance import Disturbance
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import AXES, Vehicle
 from nff_companion.training.dataset import Condition, Dataset
 
@@ -59,13 +59,13 @@ def _speed_per_s(disturbance: Disturbance, data: Dataset) -> float:
     return float(np.median(rates))
 
 
-def score(vehicle: Vehicle, basis: Basis, data: Dataset, options: AdaptationOptions | None = None) -> Score:
+def score(vehicle: Vehicle, basis: Basis, data: Dataset, tuning: Tuning | None = None) -> Score:
     """Figures over all conditions; the variance is that within each flight."""
     # Unbounded, all of them: what a motor's place is does not matter here.
-    network = Disturbance(vehicle, basis, options, bounded=False)
-    constant = Disturbance(vehicle, None, options, bounded=False)
+    network = Disturbance(vehicle, basis, tuning, bounded=False)
+    constant = Disturbance(vehicle, None, tuning, bounded=False)
     follow_s = 1.0 / _speed_per_s(network, data)
-    fast = Disturbance(vehicle, None, AdaptationOptions(follow_s=follow_s), bounded=False)
+    fast = Disturbance(vehicle, None, Tuning().having("adaptation", follow_s=follow_s), bounded=False)
 
     def skip(condition: Condition) -> int:
         return round(_WARM_UP_S * condition.rate_hz)

@@ -13,9 +13,9 @@ import numpy as np
 from nff_companion.companion_state import CompanionOptions, Orders
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
-from nff_companion.core.decision import DecisionOptions, Event
-from nff_companion.core.estimator import EstimatorOptions
+from nff_companion.core.decision import Event
 from nff_companion.core.parts import Parts
+from nff_companion.core.tuning import Tuning
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
@@ -52,7 +52,7 @@ class PaperOptions:
     controllers: tuple[str, ...] = CONTROLLERS
 
 
-_UNDECLARED = DecisionOptions(improvement_min=1e9, loss_gradual=2.0)
+_UNDECLARED = Tuning().having("decision", improvement_min=1e9, loss_gradual=2.0)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Variant:
     """An ablation: what it makes of the parts of a law, other tuning, another network."""
 
     parts: Callable[[Parts], Parts] = lambda parts: parts
-    estimator: EstimatorOptions = field(default_factory=EstimatorOptions)
+    tuning: Tuning = field(default_factory=Tuning)
     network: str = "airframe"
 
 
@@ -71,13 +71,11 @@ def variants() -> dict[str, Variant]:
         "no-phi": Variant(network="none"),
         "lateral-for-all": Variant(lambda parts: replace(parts, feed_lateral=True)),
         "lateral-for-none": Variant(lambda parts: replace(parts, feed_lateral=False)),
-        "published": Variant(lambda parts: replace(parts, target=shaped), EstimatorOptions(decision=_UNDECLARED)),
+        "published": Variant(lambda parts: replace(parts, target=shaped), _UNDECLARED),
         "published-no-sparsity": Variant(
-            lambda parts: replace(parts, target=shaped), EstimatorOptions(decision=_UNDECLARED, gamma=0.0)
+            lambda parts: replace(parts, target=shaped), _UNDECLARED.having("sparse", gamma=0.0)
         ),
-        "published-no-shaping": Variant(
-            lambda parts: replace(parts, target=unshaped), EstimatorOptions(decision=_UNDECLARED)
-        ),
+        "published-no-shaping": Variant(lambda parts: replace(parts, target=unshaped), _UNDECLARED),
     }
 
 
@@ -160,7 +158,7 @@ def trial_options(options: PaperOptions, controller: str) -> TrialOptions:
     variant = variants()[options.variant]
     return TrialOptions(
         mode=Mode.OVERRIDE,
-        tuning=CompanionOptions(estimator=variant.estimator),
+        tuning=CompanionOptions(tuning=variant.tuning),
         network=options.network if options.network != "airframe" else variant.network,
         parts=variant.parts(LAWS[controller]),
     )

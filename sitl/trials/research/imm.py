@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from nff_companion.core.decision import DecisionState, Event
-from nff_companion.core.disturbance import CORRELATION_S, Disturbance
+from nff_companion.core.disturbance import Disturbance
 from nff_companion.core.estimator import Estimate, Motion
 from nff_companion.core.residual import ResidualFilter, ResidualState
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import MissingExtra
 
@@ -49,7 +50,7 @@ class ImmEstimator:
         self.vehicle, self.dt_s = vehicle, dt_s
         self._filter = ResidualFilter(vehicle, dt_s)
         self._matrix = vehicle.acceleration_effectiveness
-        self._noise = np.diag(Disturbance(vehicle).floor ** 2) * (CORRELATION_S / dt_s)
+        self._noise = np.diag(Disturbance(vehicle).floor ** 2) * (Tuning().disturbance.correlation_s / dt_s)
         self._wander = np.diag(Disturbance(vehicle).floor ** 2) * (_WANDER_PER_S**2 * dt_s)
 
         class Hypothesis(KalmanFilter):
