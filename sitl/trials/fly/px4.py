@@ -27,7 +27,7 @@ from sitl.serve.px4_hil import Px4Server
 from sitl.trials.fly.companion_state import CompanionState
 from sitl.trials.fly.pilot import FlightError, Pilot
 from sitl.trials.fly.px4_parameters import parameters
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.process import DaemonProcess, config_text, start
 
 ENVIRONMENT = "NFF_PX4"
 _MAIN_AUTO, _SUB_TAKEOFF, _SUB_HOLD = 4, 2, 3
@@ -90,7 +90,7 @@ def simulator(options: FlyOptions, vehicle: Vehicle, folder: Path) -> Iterator[P
     environment.update(PX4_SIM_MODEL="none_iris", PX4_SYS_AUTOSTART="10016", **parameters(vehicle, options.height_m))
     thread = threading.Thread(target=serve, name="physics", daemon=True)
     with (folder / "px4.log").open("wb") as log:
-        process = subprocess.Popen(
+        process = start(
             [str(options.binary), "-d", "-i", "0", "-w", str(folder), str(build / "etc")],
             cwd=folder,
             env=environment,
