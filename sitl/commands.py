@@ -1,4 +1,8 @@
-"""Commands and parameters that the emulated autopilot answers, for vehicle 0 of a fleet."""
+"""Commands and parameters that the emulated autopilot answers, for vehicle 0 of a fleet.
+
+Parameters are floats from anybody's wire: NaN, infinite, and out of every range. Each handler takes what it needs
+through ``whole`` or ``within`` and refuses the rest; nothing else may reach the vehicle.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,21 @@ _DENIED = dialect.MAV_RESULT_DENIED
 _UNSUPPORTED = dialect.MAV_RESULT_UNSUPPORTED
 _LAND_MODE, _GUIDED_MODE = 9, 4
 _DEFAULT_TAKE_OFF_M = 10.0
+_FAR_M = 10_000.0  # no goal is farther from home
+_SPEED_MAX_M_S = 50.0
+_MESSAGE_ID_MAX = 2**24 - 1
+
+
+def whole(value: float, least: int, most: int) -> int | None:
+    """``value`` as an integer; None when it is none of ``least`` to ``most``."""
+    if not least <= value <= most or value != int(value):  # NaN fails the first, and so never meets int()
+        return None
+    return int(value)
+
+
+def within(value: float, least: float, most: float) -> bool:
+    """Whether ``value`` is a number of that range; NaN and infinities are none."""
+    return math.isfinite(value) and least <= value <= most
 
 
 class Commander:
@@ -55,8 +74,12 @@ class Commander:
 
     def _arm(self, message: Message) -> tuple[int, list[Message]]:
         autopilot = self._fleet.autopilot
-        if message.param1 >= 0.5:
-            autopilot.arm(0)
+        wanted = whole(message.param1, 0, 1)
+        if wanted is None:
+            return _DENIED, []
+        if wanted == 1:
+            if not autopilot.armed[0]:
+                autopilot.arm(0)
             return _OK, []
         forced = message.param2 == 21196
         if autopilot.mode[0] != Mode.GROUND and not forced:
@@ -66,20 +89,21 @@ class Commander:
 
     def _take_off(self, message: Message) -> tuple[int, list[Message]]:
         autopilot = self._fleet.autopilot
-        if not autopilot.armed[0] or autopilot.mode[0] != Mode.GROUND:
+        height = self._height(message, _DEFAULT_TAKE_OFF_M)
+        if height is None or not autopilot.armed[0] or autopilot.mode[0] != Mode.GROUND:
             return _DENIED, []
-        height = self._altitude(message)
-        autopilot.take_off(0, _DEFAULT_TAKE_OFF_M if height is None else height, self._fleet.sensors.measured)
+        autopilot.take_off(0, height, self._fleet.sensors.measured)
         return _OK, []
 
     @staticmethod
-    def _altitude(message: Message) -> float | None:
-        """Height above home of a command that carries an altitude in param7 (z), None when it carries none."""
+    def _height(message: Message, default_m: float) -> float | None:
+        """Height above home of param7 (z): ``default_m`` when it is NaN or 0, None when it is out of bounds."""
         value = message.z if hasattr(message, "z") else message.param7
-        if not math.isfinite(value) or value <= 0.0:
-            return None
+        if math.isnan(value) or value == 0.0:
+            return default_m
         # COMMAND_INT says in which frame; a height far above home can only be above the sea.
-        return value - HOME_ALTITUDE_M if value > 0.5 * HOME_ALTITUDE_M else value
+        height = value - HOME_ALTITUDE_M if value > 0.5 * HOME_ALTITUDE_M else value
+        return height if value > 0.0 and within(height, -_FAR_M, _FAR_M) else None
 
     def _land(self, _: Message) -> tuple[int, list[Message]]:
         if self._fleet.autopilot.mode[0] == Mode.GROUND:
@@ -88,7 +112,8 @@ class Commander:
         return _OK, []
 
     def _set_mode(self, message: Message) -> tuple[int, list[Message]]:
-        return self.set_mode(int(message.param2)), []
+        custom_mode = whole(message.param2, 0, 2**32 - 1)
+        return (_DENIED if custom_mode is None else self.set_mode(custom_mode)), []
 
     def set_mode(self, custom_mode: int) -> int:
         """Result of a change of mode (4 guided, 9 land)."""
@@ -101,40 +126,47 @@ class Commander:
         return int(_DENIED)
 
     def _reposition(self, message: Message) -> tuple[int, list[Message]]:
-        if self._fleet.autopilot.mode[0] != Mode.GUIDED:
-            return _DENIED, []
         if message.get_type() == "COMMAND_INT":
             latitude, longitude = 1e-7 * message.x, 1e-7 * message.y
         else:
             latitude, longitude = message.param5, message.param6
-        north, east = to_local(latitude, longitude)
-        height = self._altitude(message)
-        goal = self._fleet.autopilot.position.goal[0]
-        return self.go_to(np.array([north, east, goal[2] if height is None else -height]), message.param4), []
+        height = self._height(message, -float(self._fleet.autopilot.position.goal[0, 2]))
+        if height is None or not within(latitude, -90.0, 90.0) or not within(longitude, -180.0, 180.0):
+            return _DENIED, []
+        return self.go_to(np.array([*to_local(latitude, longitude), -height]), message.param4), []
 
     def go_to(self, position_m: np.ndarray, yaw_rad: float = math.nan) -> int:
-        """Result of a goal in NED; ``yaw_rad`` NaN keeps the heading."""
-        if self._fleet.autopilot.mode[0] != Mode.GUIDED or not np.isfinite(position_m).all():
+        """Result of a goal in NED (3,), at most 10 km from home; ``yaw_rad`` NaN keeps the heading."""
+        autopilot = self._fleet.autopilot
+        near = all(within(float(v), -_FAR_M, _FAR_M) for v in position_m)
+        turns = math.isnan(yaw_rad) or within(yaw_rad, -2.0 * math.pi, 2.0 * math.pi)
+        if autopilot.mode[0] != Mode.GUIDED or not near or not turns:
             return int(_DENIED)
-        position = self._fleet.autopilot.position
+        position = autopilot.position
         position.goal[0] = position_m
         position.goal_velocity[0] = np.nan
-        if math.isfinite(yaw_rad):
+        if not math.isnan(yaw_rad):
             position.goal_yaw[0] = yaw_rad
         return int(_OK)
 
     def _speed(self, message: Message) -> tuple[int, list[Message]]:
-        if message.param2 > 0.0:
-            self._fleet.autopilot.position.speed_xy[0] = message.param2
+        """MAV_CMD_DO_CHANGE_SPEED: kind (0 air, 1 ground), speed in m/s (-1: no change)."""
+        if whole(message.param1, 0, 1) is None:
+            return _DENIED, []
+        if message.param2 == -1.0:
+            return _OK, []
+        if not within(message.param2, 0.0, _SPEED_MAX_M_S) or message.param2 == 0.0:
+            return _DENIED, []
+        self._fleet.autopilot.position.speed_xy[0] = message.param2
         return _OK, []
 
     def _inject(self, message: Message) -> tuple[int, list[Message]]:
         """MAV_CMD_INJECT_FAILURE: unit, type, instance (motor from 1; 0: all)."""
         motors = self._fleet.parameters.motors
-        instance = int(message.param3)
-        if int(message.param1) != dialect.FAILURE_UNIT_SYSTEM_MOTOR or not 0 <= instance <= motors:
+        unit, kind = whole(message.param1, 0, 255), whole(message.param2, 0, 255)
+        instance = whole(message.param3, 0, motors)
+        if unit != dialect.FAILURE_UNIT_SYSTEM_MOTOR or instance is None:
             return _UNSUPPORTED, []
-        kind = int(message.param2)
         chosen = range(1, motors + 1) if instance == 0 else (instance,)
         if kind not in (dialect.FAILURE_TYPE_OK, dialect.FAILURE_TYPE_OFF, dialect.FAILURE_TYPE_STUCK):
             return _UNSUPPORTED, []
@@ -147,8 +179,16 @@ class Commander:
         return _OK, []
 
     def _request_message(self, message: Message) -> tuple[int, list[Message]]:
-        maker = self._telemetry.makers.get(int(message.param1))
+        message_id = whole(message.param1, 0, _MESSAGE_ID_MAX)
+        maker = None if message_id is None else self._telemetry.makers.get(message_id)
         return (_OK, [maker()]) if maker else (_UNSUPPORTED, [])
+
+    def set_parameter(self, name: str, value: float) -> bool:
+        """Whether parameter ``name`` took ``value``: it is there, and the value is a number."""
+        if name not in self.params or not math.isfinite(value):
+            return False
+        self.params[name] = float(value)
+        return True
 
     def parameter(self, name: str) -> Message | None:
         """PARAM_VALUE of ``name``, None when there is no such parameter."""

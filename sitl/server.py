@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.endpoint import Endpoint, open_endpoint
 from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
-from sitl.commands import Commander
+from sitl.commands import Commander, whole, within
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.link_model import LinkModel, LinkOptions
 from sitl.telemetry import Telemetry
@@ -29,6 +30,7 @@ _DEFAULT_HZ = {
     dialect.MAVLINK_MSG_ID_ATTITUDE: 10.0,
     dialect.MAVLINK_MSG_ID_NFF_APPLIED: 20.0,  # without being asked: by it an autopilot shows that it knows our dialect
 }
+_INTERVAL_MAX_US = 3600e6
 _LAG_MAX_S = 0.25  # a machine slower than this loses time instead of running behind for ever
 
 
@@ -80,6 +82,8 @@ class Server:
             self.telemetry.makers.pop(dialect.MAVLINK_MSG_ID_NFF_APPLIED)
         self._on_cycle, self._on_message = on_cycle, on_message
         self.late_cycles = 0
+        self.lost_s = 0.0  # by which the vehicle's clock fell behind the wall's
+        self.refused: Counter[str] = Counter()  # messages that asked for what cannot be, by type
 
     @staticmethod
     def _cycles(rate_hz: float) -> int:
@@ -95,6 +99,7 @@ class Server:
                 time.sleep(ahead)
             elif ahead < -_LAG_MAX_S:
                 self.late_cycles += 1
+                self.lost_s -= ahead
                 start += -ahead
 
     def cycle(self) -> None:
@@ -176,33 +181,39 @@ class Server:
         if handler is not None:
             handler(client, message)
 
+    def _count(self, message: Message, result: int) -> None:
+        if result != dialect.MAV_RESULT_ACCEPTED:
+            self.refused[message.get_type()] += 1
+
     def _command(self, client: _Client, message: Message) -> None:
         extra: list[Message] = []
         if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._set_interval(client, message)
         else:
             result, extra = self._commander.command(message)
+        self._count(message, result)
         source = (message.get_srcSystem(), message.get_srcComponent())
         self._reply(client, dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
         for item in extra:
             self._reply(client, item)
 
     def _set_interval(self, client: _Client, message: Message) -> int:
-        message_id, interval_us = int(message.param1), float(message.param2)
-        if message_id not in self.telemetry.makers:
+        ids, interval_us = self.telemetry.makers, message.param2
+        message_id = whole(message.param1, 0, max(ids))
+        if message_id not in ids:
             return int(dialect.MAV_RESULT_UNSUPPORTED)
-        if interval_us < 0.0:
+        if interval_us == -1.0:
             client.every.pop(message_id, None)
         elif interval_us == 0.0:
             client.every[message_id] = self._cycles(_DEFAULT_HZ.get(message_id, 10.0))
-        elif interval_us < 1e6 / AUTOPILOT_RATE_HZ - 1:
+        elif not within(interval_us, 1e6 / AUTOPILOT_RATE_HZ - 1, _INTERVAL_MAX_US):
             return int(dialect.MAV_RESULT_DENIED)
         else:
             client.every[message_id] = self._cycles(1e6 / interval_us)
         return int(dialect.MAV_RESULT_ACCEPTED)
 
     def _set_mode(self, client: _Client, message: Message) -> None:
-        self._commander.set_mode(message.custom_mode)
+        self._count(message, self._commander.set_mode(message.custom_mode))
 
     def _param_list(self, client: _Client, message: Message) -> None:
         for name in self._commander.params:
@@ -225,8 +236,8 @@ class Server:
 
     def _param_set(self, client: _Client, message: Message) -> None:
         name = self._name(message)
-        if name in self._commander.params and np.isfinite(message.param_value):
-            self._commander.params[name] = float(message.param_value)
+        if not self._commander.set_parameter(name, message.param_value):
+            self.refused[message.get_type()] += 1
         value = self._commander.parameter(name)
         if value is not None:
             self._reply(client, value)
@@ -236,7 +247,7 @@ class Server:
             self._reply(client, dialect.MAVLink_timesync_message(1000 * self.telemetry.time_usec, message.ts1))
 
     def _position_target(self, client: _Client, message: Message) -> None:
-        self._commander.go_to(np.array([message.x, message.y, message.z]))
+        self._count(message, self._commander.go_to(np.array([message.x, message.y, message.z])))
 
     def _mission_list(self, client: _Client, message: Message) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())

@@ -22,9 +22,9 @@ from nff_companion.daemon.status_server import ask
 from nff_companion.errors import AllocationInfeasible, EndpointError
 from nff_companion.mavlink.codec import dialect
 from sitl.trials import survey
-from sitl.trials.demo import DemoOptions, free_port, make_fleet
+from sitl.trials.demo import DemoOptions, make_fleet
 from sitl.trials.fly import arducopter
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.process import DaemonProcess, config_text, free_port
 
 ADJACENT = [[1, 3], [1, 5], [2, 4], [2, 6], [3, 8], [4, 8], [5, 7], [6, 7]]
 SAME_SPIN_90 = [[1, 7], [1, 8], [2, 7], [2, 8], [3, 4], [3, 5], [4, 6], [5, 6]]

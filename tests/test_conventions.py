@@ -31,8 +31,7 @@ from nff_companion.mavlink.services.pilot_text import PilotText
 from nff_companion.mavlink.services.streams import Stream, StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
 from nff_companion.settings import settings
-from sitl.trials.demo import free_port
-from sitl.trials.process import config_text
+from sitl.trials.process import config_text, free_port
 
 HEARTBEAT = dialect.MAVLink_heartbeat_message(14, 3, 128, 4, 4, 3)
 

@@ -23,8 +23,8 @@ from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.mavlink.endpoint import parse
 from sitl import rotation
 from sitl.fleet import Fleet
-from sitl.trials.demo import DemoOptions, Recorder, free_port, make_fleet
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.demo import DemoOptions, Recorder, make_fleet
+from sitl.trials.process import DaemonProcess, config_text, free_port
 
 ROOT = Path(__file__).parents[1]
 

@@ -10,7 +10,7 @@ from nff_companion.core import vehicle
 from sitl import airframe
 from sitl.autopilot.autopilot import Mode
 from sitl.fleet import Fleet, FleetOptions
-from sitl.trials.demo import free_port
+from sitl.trials.process import free_port
 
 mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is part of the extra sim, which make env installs")
 

@@ -18,7 +18,7 @@ from sitl.faults import Fault
 from sitl.serve.ardupilot_json import ArduPilotServer, parse
 from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server, outputs_of, pressure_hpa
-from sitl.trials.demo import free_port
+from sitl.trials.process import free_port
 
 DATA = Path(__file__).parent / "data"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
 from sitl.server import Server
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.process import DaemonProcess, config_text, free_port
 
 HEIGHT_M = 10.0
 FLY_ON_S = 12.0
@@ -109,13 +108,6 @@ class Recorder:
             self.trace.effectiveness.append(list(message.effectiveness[: self._motors]))
         elif kind == "NFF_FAULT_EVENT":
             self.trace.events.append((time_s, message.motor, bool(message.declared), message.effectiveness))
-
-
-def free_port() -> int:
-    """A UDP port of loopback that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def make_fleet(options: DemoOptions) -> Fleet:

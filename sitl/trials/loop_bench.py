@@ -17,8 +17,8 @@ from nff_companion.errors import NffError
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from sitl.fleet import AUTOPILOT_RATE_HZ
 from sitl.telemetry import Telemetry
-from sitl.trials.demo import DemoOptions, free_port, make_fleet
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.demo import DemoOptions, make_fleet
+from sitl.trials.process import DaemonProcess, config_text, free_port
 
 _WARM_UP_S = 4.0
 _TIMEOUT_S = 0.5

@@ -1,14 +1,35 @@
-"""Start and end a daemon as a process of its own, for demonstrations, benchmarks and tests."""
+"""Start and end processes of a trial: a daemon, a simulator. None outlives the trial."""
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 _END_S = 5.0
+_LAUNCHER = Path(__file__).with_name("launch.py")
+_DAEMON_PRIORITY = 20  # CPUSchedulingPriority of systemd/nff-companion.service
+
+
+def start(command: list[str], *, priority: int = 0, **options: Any) -> subprocess.Popen[Any]:
+    """Start ``command``, which dies with the thread that calls this (on Linux), even when that is killed.
+
+    ``priority`` above 0: under SCHED_FIFO where that is permitted; which it got is said on its standard error.
+    ``options`` are those of Popen. The process id is the command's own.
+    """
+    launcher = [sys.executable, "-I", "-S", str(_LAUNCHER), str(os.getpid()), str(priority)]
+    return subprocess.Popen([*launcher, *command], **options)
+
+
+def free_port() -> int:
+    """A UDP port of loopback that nobody uses now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def config_text(
@@ -33,12 +54,13 @@ def config_text(
 
 
 class DaemonProcess:
-    """``nff run`` as a child; a context manager."""
+    """``nff run`` as a child, scheduled as its service unit has it where that is permitted; a context manager."""
 
     def __init__(self, config: Path, log: Path | None = None, environment: dict[str, str] | None = None) -> None:
         self._log = None if log is None else log.open("ab")
-        self.process = subprocess.Popen(
+        self.process = start(
             [sys.executable, "-m", "nff_companion.cli.main", "run", "--config", str(config)],
+            priority=_DAEMON_PRIORITY,
             stdout=subprocess.DEVNULL,
             stderr=self._log if self._log is not None else None,
             env={**os.environ, **(environment or {})},

@@ -22,7 +22,7 @@ from nff_companion.mavlink.codec import dialect
 from sitl.trials.fly.companion_state import CompanionState
 from sitl.trials.fly.pilot import FlightError, Pilot
 from sitl.trials.fly.record import FlightRecord, fault_report
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.process import DaemonProcess, config_text, start
 
 ENVIRONMENT = "NFF_ARDUCOPTER"
 _PORT = 5760  # of instance 0; ten further for each next one, and two further for its second serial port
@@ -94,9 +94,7 @@ class Simulator:
         (folder / "nff.parm").write_text(self._parameters(vehicle, with_applet=with_applet), encoding="utf-8")
         command = [str(options.binary), "--model", "octa:frame.json", "--speedup", str(_FAST), f"-I{options.instance}"]
         command += ["--home", _HOME, "--defaults", "nff.parm"]
-        self.process = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=self._log, stderr=subprocess.STDOUT
-        )
+        self.process = start(command, cwd=folder, stdin=subprocess.DEVNULL, stdout=self._log, stderr=subprocess.STDOUT)
 
     def _parameters(self, vehicle: Vehicle, *, with_applet: bool) -> str:
         o, command = self._options, vehicle.command

@@ -26,7 +26,8 @@ from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server
 from sitl.trials.fly.companion_state import CompanionState
 from sitl.trials.fly.pilot import FlightError, Pilot
-from sitl.trials.process import DaemonProcess, config_text
+from sitl.trials.fly.px4_parameters import parameters
+from sitl.trials.process import DaemonProcess, config_text, start
 
 ENVIRONMENT = "NFF_PX4"
 _MAIN_AUTO, _SUB_TAKEOFF, _SUB_HOLD = 4, 2, 3
@@ -67,35 +68,6 @@ def binary_from(path: Path | None) -> Path:
     return found
 
 
-def parameters(vehicle: Vehicle, options: FlyOptions) -> dict[str, str]:
-    """Parameters of the vehicle, as PX4 takes them from its environment at boot."""
-    values: dict[str, float | int] = {
-        "CA_AIRFRAME": 0,
-        "CA_ROTOR_COUNT": vehicle.motors,
-        "MAV_TYPE": 14 if vehicle.motors == 8 else 13,
-        "THR_MDL_FAC": vehicle.command.thrust_expo,
-        "MPC_THR_HOVER": round(vehicle.hover, 3),
-        "MPC_THR_MAX": 1.0,
-        "MIS_TAKEOFF_ALT": options.height_m,
-        "MPC_TKO_SPEED": 3.0,
-        "COM_RC_IN_MODE": 4,
-        "NAV_RCL_ACT": 0,
-        "NAV_DLL_ACT": 0,
-        "COM_DISARM_LAND": 5.0,
-        "COM_OF_LOSS_T": 1.0,
-        "CBRK_SUPPLY_CHK": 894281,
-        "COM_ARM_SDCARD": 0,
-        "COM_ARM_HFLT_CHK": 0,
-    }
-    for i in range(vehicle.motors):
-        values[f"CA_ROTOR{i}_PX"] = round(float(vehicle.position_m[i, 0]), 4)
-        values[f"CA_ROTOR{i}_PY"] = round(float(vehicle.position_m[i, 1]), 4)
-        # Not the default 0.05: a value set to its default gives way to that of the start script.
-        values[f"CA_ROTOR{i}_KM"] = vehicle.motor.torque_per_thrust_m * float(vehicle.spin[i])
-        values[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
-    return {f"PX4_PARAM_{name}": str(value) for name, value in values.items()}
-
-
 @contextmanager
 def simulator(options: FlyOptions, vehicle: Vehicle, folder: Path) -> Iterator[Px4Server]:
     """PX4 and its physics, running."""
@@ -115,10 +87,10 @@ def simulator(options: FlyOptions, vehicle: Vehicle, folder: Path) -> Iterator[P
 
     build = options.binary.parent.parent
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PX4_")}
-    environment.update(PX4_SIM_MODEL="none_iris", PX4_SYS_AUTOSTART="10016", **parameters(vehicle, options))
+    environment.update(PX4_SIM_MODEL="none_iris", PX4_SYS_AUTOSTART="10016", **parameters(vehicle, options.height_m))
     thread = threading.Thread(target=serve, name="physics", daemon=True)
     with (folder / "px4.log").open("wb") as log:
-        process = subprocess.Popen(
+        process = start(
             [str(options.binary), "-d", "-i", "0", "-w", str(folder), str(build / "etc")],
             cwd=folder,
             env=environment,
