@@ -6,14 +6,10 @@ import math
 
 from nff_companion.condition import Reason, Statement
 from nff_companion.core.sample import Sample
-
-# Beyond what any vehicle survives: such a sample is a fault of the sensor or of the link.
-_GYRO_MAX_RAD_S, _FORCE_MAX_M_S2, _TIME_MAX_S = 60.0, 400.0, 1e8
-_REORDERED_S = 0.1  # a sample this much older than the last one is a duplicate or came late: ignored
-_DUPLICATE = 0.2  # of the sample time: what comes sooner after the last one is the same sample
+from nff_companion.core.tuning import CompanionTuning
 
 
-def refusal(sample: Sample, motors: int) -> Statement | None:
+def refusal(sample: Sample, motors: int, tuning: CompanionTuning) -> Statement | None:
     """Why the sample of a vehicle with so many ``motors`` cannot be used; None when it can."""
     command = sample.thrust if sample.thrust is not None else sample.output
     if command.shape != (motors,):
@@ -23,18 +19,21 @@ def refusal(sample: Sample, motors: int) -> Statement | None:
         return Statement(Reason.OUTPUTS_MISSING)
     if not math.isfinite(float(sample.gyro_rad_s.sum()) + float(sample.specific_force_m_s2.sum())):
         return Statement(Reason.NOT_FINITE)
-    if not 0.0 <= sample.time_s < _TIME_MAX_S:
+    if not 0.0 <= sample.time_s < tuning.time_max_s:
         return Statement(Reason.SAMPLE_TIME, str(sample.time_s))
-    if abs(sample.gyro_rad_s).max() > _GYRO_MAX_RAD_S or abs(sample.specific_force_m_s2).max() > _FORCE_MAX_M_S2:
+    if (
+        abs(sample.gyro_rad_s).max() > tuning.gyro_max_rad_s
+        or abs(sample.specific_force_m_s2).max() > tuning.force_max_m_s2
+    ):
         return Statement(Reason.IMPLAUSIBLE)
     return None
 
 
-def again(gap_s: float, dt_s: float) -> bool:
+def again(gap_s: float, dt_s: float, tuning: CompanionTuning) -> bool:
     """Whether a sample ``gap_s`` after the last one is a duplicate, or came late; ``dt_s`` is the sample time."""
-    return -_REORDERED_S < gap_s < _DUPLICATE * dt_s
+    return -tuning.reordered_s < gap_s < tuning.repeated_share * dt_s
 
 
-def follows(gap_s: float, dt_s: float, gap_max_s: float) -> bool:
+def follows(gap_s: float, dt_s: float, tuning: CompanionTuning) -> bool:
     """Whether it goes on from the last one: neither the same again, nor after a jump of time."""
-    return _DUPLICATE * dt_s <= gap_s <= gap_max_s
+    return tuning.repeated_share * dt_s <= gap_s <= tuning.gap_max_s

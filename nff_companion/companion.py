@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner
-from nff_companion.companion_state import NO_ORDERS, CompanionOptions, CompanionState, Orders, Output
+from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
 from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
@@ -24,6 +24,7 @@ from nff_companion.core.flight_phase import FlightPhase
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import SolverError
 
@@ -35,26 +36,28 @@ class Companion:
         self,
         vehicle: Vehicle,
         rate_hz: float,
-        options: CompanionOptions | None = None,
+        tuning: Tuning | None = None,
         *,
+        allocation: str = "trim",
         network: Basis | None = None,
         parts: Parts = FLOWN,
     ) -> None:
         """``network`` None: a constant basis. Raises ConfigError for an unknown allocation method."""
         self.vehicle, self.rate_hz, self.network, self.parts = vehicle, rate_hz, network, parts
-        self.options = o = options or CompanionOptions()
+        self.tuning, self.allocation = tuning or Tuning(), allocation
+        o = self.tuning
         self._dt_s = 1.0 / rate_hz
         basis = network if parts.learn else None
         self._estimator = (
-            Estimator(vehicle, self._dt_s, o.tuning, basis, identify=parts.identify, joint=parts.joint)
+            Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint)
             if parts.estimator is None
             else parts.estimator(vehicle, self._dt_s)
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
-        self._planner = Planner(vehicle, allocator(o.allocation), o.planner, parts.target)
+        self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target)
         self._loop = OverrideLoop(vehicle)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
-        self._speeds = RotorSpeedWatch(vehicle.motors, o.tuning.rotor_speed)
+        self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
         self._nothing = Knowledge.none(vehicle.axes)
         self._none = read_only(np.zeros(vehicle.axes))
         self._ones = read_only(np.ones(vehicle.motors))
@@ -64,13 +67,18 @@ class Companion:
         *,
         rate_hz: float | None = None,
         telemetry: TelemetryTable | None = None,
-        options: CompanionOptions | None = None,
+        tuning: Tuning | None = None,
     ) -> Companion:
         """The same companion for another sample rate, other filters of the autopilot, or other tuning: between flights
         (``CompanionState.watching`` False) the state goes on with it."""
         vehicle = self.vehicle if telemetry is None else self.vehicle.with_telemetry(telemetry)
         return Companion(
-            vehicle, rate_hz or self.rate_hz, options or self.options, network=self.network, parts=self.parts
+            vehicle,
+            rate_hz or self.rate_hz,
+            tuning or self.tuning,
+            allocation=self.allocation,
+            network=self.network,
+            parts=self.parts,
         )
 
     def start(self, mode: Mode) -> CompanionState:
@@ -117,7 +125,11 @@ class Companion:
         if self._acting(state, condition) != Mode.OVERRIDE or state.estimate is None:
             return state, None
         gap = _gap(state, sample)
-        if gap is None or not self._follows(gap) or refusal(sample, self.vehicle.motors) is not None:
+        if (
+            gap is None
+            or not self._follows(gap)
+            or refusal(sample, self.vehicle.motors, self.tuning.companion) is not None
+        ):
             return state, None
         if condition.drive is not None:
             return replace(state, blind=condition.drive, loop=OverrideState()), None
@@ -150,11 +162,11 @@ class Companion:
             state = self._obeyed(state, orders)
         if sample is None:
             return self._said(state, condition)
-        refused = refusal(sample, self.vehicle.motors)
+        refused = refusal(sample, self.vehicle.motors, self.tuning.companion)
         if refused is not None:
             return self._bad(state, condition, refused)
         gap = _gap(state, sample)
-        if gap is not None and again(gap, self._dt_s):
+        if gap is not None and again(gap, self._dt_s, self.tuning.companion):
             state = replace(state, bad_samples=state.bad_samples + 1)
             return state, replace(state.last, events=(), override=None, bad_samples=state.bad_samples)
         if gap is not None and not self._follows(gap):
@@ -171,7 +183,7 @@ class Companion:
         return [int(i) + 1 for i in np.flatnonzero(self._speeds.faults(state.speeds, state.failed))]
 
     def _follows(self, gap_s: float) -> bool:
-        return follows(gap_s, self._dt_s, self.options.gap_max_s)
+        return follows(gap_s, self._dt_s, self.tuning.companion)
 
     # -- parts of it --------------------------------------------------------------------------------------------
 
@@ -211,7 +223,7 @@ class Companion:
         except (SolverError, np.linalg.LinAlgError) as error:
             why = Statement(Reason.ESTIMATOR, str(error))
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
-        recovered = time_s - good_since >= self.options.recover_s
+        recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         adapted = state.adapted
         if self._adaptation is not None:

@@ -11,26 +11,14 @@ import msgspec
 import numpy as np
 
 from nff_companion.allocation.plan import Plan
-from nff_companion.allocation.planner import PlannerOptions, PlannerState
+from nff_companion.allocation.planner import PlannerState
 from nff_companion.condition import Mode, Reason, Statement, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideState
 from nff_companion.core.decision import Event
 from nff_companion.core.estimator import Estimate, EstimatorState
-from nff_companion.core.flight_phase import FlightPhaseOptions, FlightPhaseState
+from nff_companion.core.flight_phase import FlightPhaseState
 from nff_companion.core.rotor_speed import RotorSpeedState
-from nff_companion.core.tuning import Tuning
-
-
-class CompanionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Tuning of one companion."""
-
-    allocation: str = "trim"
-    tuning: Tuning = Tuning()
-    flight_phase: FlightPhaseOptions = FlightPhaseOptions()
-    planner: PlannerOptions = PlannerOptions()
-    gap_max_s: float = 0.1  # without a sample: the estimate starts anew
-    recover_s: float = 0.3  # of good samples, to act again
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -21,11 +21,12 @@ from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.schedule import Command, Drive, ScheduleState
 from nff_companion.autopilots.twins import Twins
 from nff_companion.companion import Companion
-from nff_companion.companion_state import NO_ORDERS, CompanionOptions, Orders, Output
+from nff_companion.companion_state import NO_ORDERS, Orders, Output
 from nff_companion.condition import Condition, Mode, Reason, Statement, first
 from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
 from nff_companion.core.sample_rate import Agreement
+from nff_companion.core.tuning import Tuning
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.mavlink.services.parameter_server import ParameterServer
 from nff_companion.mavlink.services.streams import Stream, StreamMonitor
@@ -95,7 +96,7 @@ class Session:
                 companion.vehicle.motors,
                 lambda: self.state.mode,
                 self._obey,
-                lambda: self._companion.options,
+                lambda: self._companion.tuning,
                 self._retune,
             ),
             options.component,
@@ -219,11 +220,11 @@ class Session:
                 self._command(adapter, commands)
             self._commands(adapter, output, time_s)
 
-    def _retune(self, options: CompanionOptions) -> bool:
+    def _retune(self, tuning: Tuning) -> bool:
         """Other tuning, from the next flight on; False in flight, when nothing changes."""
         if self.state.watching:
             return False
-        self._rebuild(self._companion.rebuilt(options=options))
+        self._rebuild(self._companion.rebuilt(tuning=tuning))
         return True
 
     def leave(self, now_s: float) -> list[Outgoing]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
-
-from nff_companion.companion_state import CompanionOptions, Orders
+from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
+from nff_companion.core.tuning import Tuning
 from nff_companion.mavlink.services.parameter_server import Parameter
 
 _THRESHOLDS = {
@@ -23,8 +22,8 @@ def settings(
     motors: int,
     mode: Callable[[], Mode],
     obey: Callable[[Orders], None],
-    options: Callable[[], CompanionOptions],
-    retune: Callable[[CompanionOptions], bool],
+    tuning: Callable[[], Tuning],
+    retune: Callable[[Tuning], bool],
 ) -> list[Parameter]:
     """Mode, lift and thresholds of one companion. ``retune`` returns False where nothing may change now."""
 
@@ -39,12 +38,10 @@ def settings(
 
     def threshold(name: str, low: float, high: float, *, whole: bool = False) -> tuple[float, float, object, object]:
         def get() -> float:
-            return float(getattr(options().tuning.decision, name))
+            return float(getattr(tuning().decision, name))
 
         def change(value: float) -> bool:
-            now = options()
-            tuning = now.tuning.having("decision", **{name: int(value) if whole else value})
-            return retune(msgspec.structs.replace(now, tuning=tuning))
+            return retune(tuning().having("decision", **{name: int(value) if whole else value}))
 
         return low, high, get, change
 

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from nff_companion.companion import Companion
-from nff_companion.companion_state import NO_ORDERS, CompanionOptions, CompanionState, Orders, Output
+from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
 from nff_companion.condition import Condition, Mode, Reason, Statement
 from nff_companion.core import basis_network, vehicle
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import Tuning
 
 OBEDIENT = Condition(takes_matrix=True)
 
@@ -27,11 +28,11 @@ class Stepped:
         rate_hz: float = 200.0,
         network: str = "airframe",
         parts: Parts = FLOWN,
-        options: CompanionOptions | None = None,
+        tuning: Tuning | None = None,
     ) -> None:
         model = vehicle.load(airframe)
         basis = basis_network.for_vehicle(model, network)
-        self.companion = Companion(model, rate_hz, options, network=basis, parts=parts)
+        self.companion = Companion(model, rate_hz, tuning, network=basis, parts=parts)
         self.state: CompanionState = self.companion.start(mode)
         self.condition = OBEDIENT
 

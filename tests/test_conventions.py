@@ -14,9 +14,10 @@ import pytest
 from msgspec.structs import replace
 
 from nff_companion.companion import Companion
-from nff_companion.companion_state import CompanionOptions, Orders
+from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle
+from nff_companion.core.tuning import Tuning
 from nff_companion.daemon.configuration import load
 from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.service import Daemon
@@ -259,18 +260,18 @@ class Settings:
     """What a ground station may change, and what became of it."""
 
     def __init__(self) -> None:
-        self.mode, self.options, self.flying = Mode.ALLOCATE, CompanionOptions(), False
+        self.mode, self.tuning, self.flying = Mode.ALLOCATE, Tuning(), False
         self.lifted: list[int] = []
-        self.server = ParameterServer(settings(8, lambda: self.mode, self.obey, lambda: self.options, self.retune), 191)
+        self.server = ParameterServer(settings(8, lambda: self.mode, self.obey, lambda: self.tuning, self.retune), 191)
         self.server.adopt(1)
 
     def obey(self, orders: Orders) -> None:
         self.mode = self.mode if orders.mode is None else orders.mode
         self.lifted += orders.lift
 
-    def retune(self, options: CompanionOptions) -> bool:
+    def retune(self, tuning: Tuning) -> bool:
         if not self.flying:
-            self.options = options
+            self.tuning = tuning
         return not self.flying
 
 
@@ -305,7 +306,7 @@ def test_a_ground_station_lists_reads_and_sets(server: ParameterServer, chosen: 
     assert chosen.mode == Mode.OBSERVE
     (value,) = put(server, "NFF_MARGIN", 9.0)
     assert value.param_value == 9.0
-    assert chosen.options.tuning.decision.margin_min == 9.0
+    assert chosen.tuning.decision.margin_min == 9.0
     put(server, "NFF_LIFT", 3.0)
     assert chosen.lifted == [3]
     chosen.flying = True

@@ -15,7 +15,7 @@ import nff_companion
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.mavlink.hub import Hub
-from sitl.trials.demo import free_port
+from sitl.trials.process import free_port
 
 PACKAGE = Path(nff_companion.__file__).parent
 MATRIX = dialect.MAVLink_nff_allocation_matrix_message(1234567, 7, 500, 1, 1, 4, 8, 1, [k / 4 + 1 for k in range(48)])

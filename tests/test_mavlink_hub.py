@@ -13,7 +13,7 @@ import pytest
 from nff_companion.errors import EndpointError
 from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.mavlink.hub import Hub
-from sitl.trials.demo import free_port
+from sitl.trials.process import free_port
 
 HEARTBEAT = dialect.MAVLink_heartbeat_message(14, 3, 128, 4, 4, 3)
 

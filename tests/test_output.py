@@ -12,8 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from sitl.trials.demo import free_port
-from sitl.trials.process import config_text
+from sitl.trials.process import config_text, free_port
 
 _LOGS = """
 import logging, sys

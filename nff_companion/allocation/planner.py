@@ -12,19 +12,8 @@ from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.core import sparse
 from nff_companion.core.estimator import Estimate
+from nff_companion.core.tuning import PlannerTuning
 from nff_companion.core.vehicle import Vehicle
-
-
-class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Tuning."""
-
-    shape_full_at: float = 0.75  # zeta
-    shape_none_below: float = 0.30  # xi; below it a motor is removed
-    degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
-    resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
-    resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
-    catch_s: float = 2.0  # after a double failure roll and pitch have more right to torque than yaw
-    double_within_s: float = 0.5  # two declarations within this time are a double failure
 
 
 class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -54,9 +43,9 @@ class Planner:
     """Constants of one vehicle. ``target``: another rule for what to allocate for, of research; None: ours."""
 
     def __init__(
-        self, vehicle: Vehicle, allocate: Allocator, options: PlannerOptions | None = None, target: Target | None = None
+        self, vehicle: Vehicle, allocate: Allocator, tuning: PlannerTuning | None = None, target: Target | None = None
     ) -> None:
-        self._vehicle, self._allocate, self._options = vehicle, allocate, options or PlannerOptions()
+        self._vehicle, self._allocate, self._tuning = vehicle, allocate, tuning or PlannerTuning()
         self._given_target = target
         healthy = make_plan(allocate, vehicle.effectiveness, np.ones(vehicle.motors), vehicle.hover)
         self.healthy = healthy if isinstance(healthy, Plan) else None
@@ -84,7 +73,7 @@ class Planner:
 
     def step(self, state: PlannerState, time_s: float, estimate: Estimate) -> PlannerState:
         """Solve the allocation again when what is believed of the motors has moved."""
-        o = self._options
+        o = self._tuning
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any()
         if clear and state.untouched:
@@ -127,10 +116,10 @@ class Planner:
     def _target(self, state: PlannerState, time_s: float, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """Since when motors are partly lost (m,), and the effectiveness (m,) to allocate for: declared motors gone, a
         lasting partial loss shaped, the rest whole."""
-        o = self._options
+        o = self._tuning
         if self._given_target is not None:
             return state.low_since_s, self._given_target(estimate)
-        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
+        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < o.deviation_max) & ~estimate.failed
         if int(low.sum()) > 1:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         target = np.ones(self._vehicle.motors)
@@ -138,6 +127,6 @@ class Planner:
         if low.any():
             lasting = time_s - np.nan_to_num(low_since, nan=np.inf) >= o.degraded_for_s
             shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
-            target = np.where(low & lasting, np.maximum(shaped, 0.1), target)
+            target = np.where(low & lasting, np.maximum(shaped, o.partial_min), target)
         target[estimate.failed] = 0.0
         return low_since, target

@@ -6,23 +6,8 @@ import msgspec
 import numpy as np
 
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import FlightPhaseTuning
 from nff_companion.core.vehicle import Vehicle
-
-
-class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thresholds. Thrust shares are of the hover thrust by the airframe's mass."""
-
-    height_m: float = 0.7  # above where it was armed
-    thrust_share: float = 0.7
-    sure_after_s: float = 0.5  # with height and thrust
-    assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
-    told_after_s: float = 0.2  # after a restart in flight, with the autopilot's word that it flies
-    ended_share: float = 0.3
-    ended_after_s: float = 0.5
-    impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
-    impact_m_s2: float = 10.0  # and this much more
-    impact_samples: int = 3  # in a row: one may be a shock, or noise
-    impact_below_m: float = 3.0  # above the ground: higher up there is nothing to stand on
 
 
 class FlightPhaseState(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,17 +26,17 @@ class FlightPhaseState(msgspec.Struct, frozen=True, kw_only=True):
 class FlightPhase:
     """Constants of one airframe; ``step`` takes and returns the state."""
 
-    def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions | None = None) -> None:
-        self._options, self._hover = options or FlightPhaseOptions(), vehicle.hover
+    def __init__(self, vehicle: Vehicle, tuning: FlightPhaseTuning | None = None) -> None:
+        self._tuning, self._hover = tuning or FlightPhaseTuning(), vehicle.hover
         full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
-        self._impact_squared = (self._options.impact_share * full + self._options.impact_m_s2) ** 2
+        self._impact_squared = (self._tuning.impact_share * full + self._tuning.impact_m_s2) ** 2
 
     def step(self, state: FlightPhaseState, sample: Sample, thrust: np.ndarray) -> FlightPhaseState:
         """One sample; ``thrust`` (m,) fractions commanded."""
         height = None if sample.position_m is None else -float(sample.position_m[2])
         if not sample.armed:
             return FlightPhaseState(ground_m=height, landed_and_disarmed=state.flew)
-        o, time_s = self._options, sample.time_s
+        o, time_s = self._tuning, sample.time_s
         share = float(thrust.sum()) / len(thrust) / self._hover
         pushing_since = None if share < o.thrust_share else _since(state.pushing_since_s, time_s)
         idle_since = None if share > o.ended_share else _since(state.idle_since_s, time_s)
@@ -79,7 +64,7 @@ class FlightPhase:
     def _taken_off(
         self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool
     ) -> bool:
-        o = self._options
+        o = self._tuning
         if height is not None and ground is not None and height - ground > o.height_m:
             return pushing_s >= o.sure_after_s
         if ground is None and sample.landed is False:
@@ -90,7 +75,7 @@ class FlightPhase:
         """Near enough to the ground to have hit it. Where the ground is, a restart in flight does not know: then the
         autopilot's word counts, and without one a vehicle that has no height."""
         if height is not None and ground is not None:
-            return height - ground < self._options.impact_below_m
+            return height - ground < self._tuning.impact_below_m
         return sample.landed is True or (sample.landed is None and height is None)
 
 

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from nff_companion.companion_state import CompanionOptions
 from nff_companion.condition import Mode
 from nff_companion.core.tuning import Tuning, check
 from nff_companion.errors import ConfigError
@@ -55,10 +54,6 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     vehicle: VehicleConfig
     companion: CompanionConfig = CompanionConfig()
     tuning: Tuning = Tuning()
-
-    def companion_options(self) -> CompanionOptions:
-        """Options of the companion that this file asks for."""
-        return CompanionOptions(allocation=self.companion.allocation, tuning=self.tuning)
 
 
 def default_status_socket() -> str:

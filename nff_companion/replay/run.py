@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from nff_companion.companion import Companion
-from nff_companion.companion_state import CompanionOptions
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import basis_network
 from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError
 from nff_companion.replay import dataflash, tlog, ulog
@@ -53,11 +53,11 @@ def rate_of(samples: Iterable[Sample]) -> float:
     return float(np.clip(rate, *_RATES_HZ))
 
 
-def replay(path: Path, vehicle: Vehicle, options: CompanionOptions | None = None) -> dict[str, Any]:
+def replay(path: Path, vehicle: Vehicle, tuning: Tuning | None = None) -> dict[str, Any]:
     """Faults found in one log; ``time_s`` from its first record. Raises LogError."""
     first, rows = read(path, vehicle)
     network = basis_network.for_vehicle(vehicle, "airframe")
-    companion = Companion(vehicle, rate_of(sample for _, sample in rows), options, network=network)
+    companion = Companion(vehicle, rate_of(sample for _, sample in rows), tuning, network=network)
     state, nobody = companion.start(Mode.OBSERVE), Condition()
     faults: list[dict[str, Any]] = []
     settling: list[tuple[float, Event, dict[str, Any]]] = []

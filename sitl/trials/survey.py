@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from nff_companion.companion_state import CompanionOptions
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import Event
@@ -154,7 +153,7 @@ def _build(
     workshop = None
     if options.personality == "ardupilot":
         model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
-        workshop = Workshop.prepare(model, CompanionOptions().allocation, card)
+        workshop = Workshop.prepare(model, TrialOptions().allocation, card)
     chosen = TrialOptions(mode=options.mode, network=options.network, parts=parts_of(options.detector, options.joint))
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),

@@ -17,13 +17,14 @@ from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.meeting import Kind, Meeting
 from nff_companion.companion import Companion
-from nff_companion.companion_state import CompanionOptions, Orders, Output
+from nff_companion.companion_state import Orders, Output
 from nff_companion.condition import Mode
 from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import Event
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, Message
 from nff_companion.session import Outgoing, Session, SessionOptions
@@ -40,7 +41,8 @@ class TrialOptions:
     """One companion of a trial."""
 
     mode: Mode = Mode.ALLOCATE
-    tuning: CompanionOptions = field(default_factory=CompanionOptions)
+    tuning: Tuning = field(default_factory=Tuning)
+    allocation: str = "trim"
     network: str = "airframe"
     parts: Parts = FLOWN
 
@@ -171,14 +173,16 @@ class VirtualFlight:
             meeting = _TrialMeeting(
                 model,
                 "nff" if workshop is None else "ardupilot",
-                options.tuning.allocation,
+                options.allocation,
                 Path("/nonexistent"),
                 instance=index + 1,
                 plans=None if workshop is None else workshop.plans,
             )
             meeting.alter = alter
             network = basis_network.for_vehicle(model, options.network)
-            companion = Companion(model, rate, options.tuning, network=network, parts=options.parts)
+            companion = Companion(
+                model, rate, options.tuning, allocation=options.allocation, network=network, parts=options.parts
+            )
             session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
             card = None if workshop is None else workshop.card
             autopilot = WireAutopilot(fleet, index, card=card, rotor_speeds=rotor_speeds, stubborn_hz=stubborn_hz)

@@ -20,6 +20,9 @@ class FlightPhaseTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     assumed_after_s: Annotated[
         float, span(0.1, 60.0, "s", "with thrust alone: no height is known, or a restart in flight")
     ] = 2.0
+    told_after_s: Annotated[
+        float, span(0.02, 10.0, "s", "after a restart in flight, with the autopilot's word that it flies, and thrust")
+    ] = 0.2
     ended_share: Annotated[float, span(0.02, 0.8, "", "thrust below which a flight may have ended")] = 0.3
     ended_after_s: Annotated[float, span(0.05, 10.0, "s", "of so little thrust: a quick descent is shorter")] = 0.5
     impact_share: Annotated[
@@ -151,7 +154,7 @@ class LawTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class CompanionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which samples are used, and when the companion may act (pipeline.py)."""
+    """Which samples are used, and when the companion may act (admission.py, companion.py)."""
 
     gap_max_s: Annotated[float, span(0.02, 1.0, "s", "without a sample: the estimate starts anew")] = 0.1
     recover_s: Annotated[float, span(0.0, 10.0, "s", "of good samples, to act again")] = 0.3

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nff_companion.companion_state import CompanionOptions, Orders
+from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.decision import Event
@@ -158,7 +158,7 @@ def trial_options(options: PaperOptions, controller: str) -> TrialOptions:
     variant = variants()[options.variant]
     return TrialOptions(
         mode=Mode.OVERRIDE,
-        tuning=CompanionOptions(tuning=variant.tuning),
+        tuning=variant.tuning,
         network=options.network if options.network != "airframe" else variant.network,
         parts=variant.parts(LAWS[controller]),
     )
