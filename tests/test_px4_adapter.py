@@ -139,6 +139,20 @@ def test_a_loss_that_grew_too_soon_to_be_sent_is_sent_later(tmp_path: Path) -> N
     assert px4.value("CA_ROTOR4_CT") == pytest.approx(3.25)
 
 
+def test_what_was_put_off_is_not_told_after_the_permit_is_gone(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = in_flight(tmp_path, px4, model)
+    eta = without(model, (3,))
+    tell(adapter, px4, eta, now)
+    now = talk(adapter, px4, now, 0.2)
+    eta[4] = 0.5
+    tell(adapter, px4, eta, now)
+    now = talk(adapter, px4, now, 2.0, permit=Permit.TIDY)
+    talk(adapter, px4, now, 1.0)  # and when it comes again, what was believed then is no longer
+    assert px4.value("CA_ROTOR4_CT") == 6.5
+
+
 def test_a_declaration_repeated_every_50_ms_sends_only_what_is_not_confirmed(tmp_path: Path) -> None:
     model = octo()
     px4 = FakePx4(model)

@@ -171,3 +171,20 @@ def test_a_partial_loss_cannot_be_injected_and_is_said_so(tmp_path: Path) -> Non
     assert untold(adapter.condition(now))[0] == Reason.NOT_TOLD
     assert tell(adapter, px4, np.ones(8), now) == []
     assert adapter.condition(now).untold is None
+
+
+def test_who_may_only_tidy_sends_no_failure_again_and_who_listens_lifts_none(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model, **NEEDS)
+    adapter, now = in_flight(tmp_path, px4, model, "inject")
+    px4.deaf = True
+    tell(adapter, px4, without(model, (3,)), now)
+    px4.received.clear()
+    now = talk(adapter, px4, now, 0.3, permit=Permit.TIDY)
+    px4.armed = False
+    now = talk(adapter, px4, now, 0.3, permit=Permit.LISTEN)
+    assert "COMMAND_LONG" not in px4.kinds_received()
+    px4.deaf = False
+    now = talk(adapter, px4, now, 0.3, permit=Permit.TIDY)
+    assert px4.injected[-1] == (3, OK)
+    assert not adapter.condition(now).unfinished

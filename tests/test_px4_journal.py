@@ -271,6 +271,7 @@ def test_tuning_by_a_ground_station_in_flight_is_neither_undone_nor_forgotten(tm
         (said,) = px4.through([px4.announce(f"CA_ROTOR{i}_CT")])
         adapter.observe(said, now)
     now = talk(adapter, px4, now, 0.2)
+    assert '"value": 7.0' in (tmp_path / "journal").read_text()
     eta = np.ones(8)
     eta[0] = 0.5
     tell(adapter, px4, eta, now)
@@ -319,6 +320,19 @@ def test_one_left_over_is_stated_while_listening_and_restored_by_who_may(tmp_pat
     assert (tmp_path / "journal").exists()
     now = talk(Px4Adapter(octo(), (1, 1), tmp_path / "journal"), px4, 0.0, 5.0, permit=Permit.TIDY)
     assert px4.scales() == [6.5] * 8
+    assert not (tmp_path / "journal").exists()
+
+
+def test_one_left_over_is_restored_in_full_whatever_px4_says_now(tmp_path: Path) -> None:
+    # What was sent before the crash may still be on its way.
+    px4 = FakePx4(octo())
+    found = px4.stored.copy()
+    crashed(tmp_path, px4)
+    px4.stored[:] = found
+    px4.armed = False
+    px4.sets.clear()
+    talk(Px4Adapter(octo(), (1, 1), tmp_path / "journal"), px4, 0.0, 5.0)
+    assert sorted(name for name, _ in px4.sets) == sorted(n for n in px4.names if n.endswith(("_CT", "_KM")))
     assert not (tmp_path / "journal").exists()
 
 

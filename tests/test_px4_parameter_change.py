@@ -54,6 +54,12 @@ def output(model: Vehicle, failed: tuple[int, ...], mode: Mode = Mode.ALLOCATE) 
     )
 
 
+def changed_by_another(adapter: Px4Adapter, px4: FakePx4, name: str, value: float, now: float) -> None:
+    px4.stored[px4.names.index(name)] = value
+    (said,) = px4.through([px4.announce(name)])
+    adapter.observe(said, now)
+
+
 @pytest.fixture(autouse=True)
 def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is computed ahead takes time and changes nothing here."""
@@ -136,8 +142,10 @@ def test_a_parameter_that_turns_out_changed_on_the_ground_is_restored_again(tmp_
     tell(adapter, px4, without(model, (3,)), now)  # on its way for half a second
     (before,) = px4.through([px4.announce("CA_ROTOR2_CT")])
     px4.armed = False
+    px4.link = Link(drops=lambda m: m.get_type() == "PARAM_SET")
     now = talk(adapter, px4, now, 0.1)
-    adapter.observe(before, now)
+    adapter.observe(before, now)  # as if it confirmed the restoring, which was lost
+    px4.link = Link()
     talk(adapter, px4, now, 3.0)
     assert np.array_equal(px4.stored, found)
     assert not (tmp_path / "journal").exists()
@@ -255,15 +263,29 @@ def test_a_parameter_that_is_not_restored_is_said_and_its_journal_kept(tmp_path:
     px4.received.clear()
     now = talk(adapter, px4, now, 2.0)
     assert "PARAM_SET" not in px4.kinds_received()
+    px4.locked.clear()
+    changed_by_another(adapter, px4, "CA_ROTOR2_CT", 6.5, now)
+    now = talk(adapter, px4, now, 2.0)
+    assert adapter.condition(now).notes == ()
+    assert not (tmp_path / "journal").exists()
+
+
+def test_late_answers_to_an_earlier_declaration_do_not_take_the_next_one_back(tmp_path: Path) -> None:
+    model = octo()
+    px4 = FakePx4(model)
+    adapter, now = in_flight(tmp_path, px4, model)
+    px4.link = Link(delay_s=0.4)
+    eta = np.ones(8)
+    for left in (0.5, 0.2):
+        eta[4] = left
+        tell(adapter, px4, eta, now)
+        now = talk(adapter, px4, now, 1.0)
+    now = talk(adapter, px4, now, 1.0)
+    assert px4.value("CA_ROTOR4_CT") == pytest.approx(1.3)
+    assert adapter.condition(now).untold is None
 
 
 # -- what others change -----------------------------------------------------------------------------------------------
-
-
-def changed_by_another(adapter: Px4Adapter, px4: FakePx4, name: str, value: float, now: float) -> None:
-    px4.stored[px4.names.index(name)] = value
-    (said,) = px4.through([px4.announce(name)])
-    adapter.observe(said, now)
 
 
 def test_a_motor_that_a_ground_station_tunes_after_a_declaration_is_left_alone(tmp_path: Path) -> None:

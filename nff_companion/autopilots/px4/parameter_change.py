@@ -109,10 +109,7 @@ class ParameterChange:
         wanted |= {name: value for name, value in scale.items() if name not in ahead}
         # What others tune, and we have not touched, is left alone.
         wanted = {n: v for n, v in wanted.items() if n in self.touched or not same(v, self.found[n])}
-        confirmed = self._before or {}
-        self._before = {
-            n: confirmed.get(n, self._reader.values[n]) if n in self._wanted else self._reader.values[n] for n in wanted
-        }
+        self._before = {name: self._reader.values[name] for name in wanted}
         self._restoring = False
         self._want(wanted, now_s)
 
