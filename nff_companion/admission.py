@@ -15,16 +15,14 @@ def refusal(sample: Sample, motors: int, tuning: CompanionTuning) -> Statement |
     if command.shape != (motors,):
         return Statement(Reason.MOTOR_COUNT, f"{command.size} motor outputs, the airframe {motors}")
     # A sum is finite only if all its terms are.
-    if not math.isfinite(float(command.sum())):
+    if not math.isfinite(sum(command.tolist())):
         return Statement(Reason.OUTPUTS_MISSING)
-    if not math.isfinite(float(sample.gyro_rad_s.sum()) + float(sample.specific_force_m_s2.sum())):
+    gyro, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
+    if not math.isfinite(sum(gyro) + sum(force)):
         return Statement(Reason.NOT_FINITE)
     if not 0.0 <= sample.time_s < tuning.time_max_s:
         return Statement(Reason.SAMPLE_TIME, str(sample.time_s))
-    if (
-        abs(sample.gyro_rad_s).max() > tuning.gyro_max_rad_s
-        or abs(sample.specific_force_m_s2).max() > tuning.force_max_m_s2
-    ):
+    if max(map(abs, gyro)) > tuning.gyro_max_rad_s or max(map(abs, force)) > tuning.force_max_m_s2:
         return Statement(Reason.IMPLAUSIBLE)
     return None
 

@@ -125,11 +125,7 @@ class Companion:
         if self._acting(state, condition) != Mode.OVERRIDE or state.estimate is None:
             return state, None
         gap = _gap(state, sample)
-        if (
-            gap is None
-            or not self._follows(gap)
-            or refusal(sample, self.vehicle.motors, self.tuning.companion) is not None
-        ):
+        if gap is None or not self._follows(gap) or self._refused(sample) is not None:
             return state, None
         if condition.drive is not None:
             return replace(state, blind=condition.drive, loop=OverrideState()), None
@@ -162,7 +158,7 @@ class Companion:
             state = self._obeyed(state, orders)
         if sample is None:
             return self._said(state, condition)
-        refused = refusal(sample, self.vehicle.motors, self.tuning.companion)
+        refused = self._refused(sample)
         if refused is not None:
             return self._bad(state, condition, refused)
         gap = _gap(state, sample)
@@ -181,6 +177,9 @@ class Companion:
     def speed_faults(self, state: CompanionState) -> list[int]:
         """Motors (from 1) whose speed reads zero while they pull: a fault of the speed sensor."""
         return [int(i) + 1 for i in np.flatnonzero(self._speeds.faults(state.speeds, state.failed))]
+
+    def _refused(self, sample: Sample) -> Statement | None:
+        return refusal(sample, self.vehicle.motors, self.tuning.companion)
 
     def _follows(self, gap_s: float) -> bool:
         return follows(gap_s, self._dt_s, self.tuning.companion)

@@ -8,7 +8,7 @@ from typing import Any
 from nff_companion.daemon.status_server import ask
 from nff_companion.errors import EndpointError
 
-_SETTLED = ("all motors healthy", "observing")
+_SETTLED = ("healthy", "observing")
 
 
 class CompanionState:
@@ -35,4 +35,4 @@ class CompanionState:
     def ready(self) -> bool:
         """Whether, when last asked, it flew with everything it needs."""
         last = self._last
-        return last.get("reason") in _SETTLED and bool(last.get("flying")) and not last["slow_streams"]
+        return last.get("reason_name") in _SETTLED and bool(last.get("flying")) and not last["slow_streams"]
