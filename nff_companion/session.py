@@ -187,6 +187,8 @@ class Session:
         ours = self._adoption.hear(message, now_s, acting=self._acting())
         if self._adoption.adapter is not self._met:
             self._meet(self._adoption.adapter, port, now_s)
+        if kind == "HEARTBEAT":
+            self._note(self._adoption.notes(), now_s)
         if kind == "TIMESYNC":
             self._send_all(self._sync.observe(message, round(1e9 * now_s)), port)
         elif kind.startswith("PARAM_"):
@@ -409,12 +411,16 @@ class Session:
         for name, (rate, asked) in self.reporter.slow_streams.items():
             slow = Statement(Reason.SLOW_STREAM, f"{name} {rate:.0f} Hz, {asked:.0f}")
             self._send_all(self._announcer.note(slow, now_s, name), None)
-        notes = [*self._adoption.notes(), *self._twins.notes(now_s), *adapter.condition(now_s).notes]
+        notes = [*self._twins.notes(now_s), *adapter.condition(now_s).notes]
         notes += [Statement(Reason.SPEED_SENSOR, str(m)) for m in self._companion.speed_faults(self.state)]
-        for note in notes:
-            self._send_all(self._announcer.note(note, now_s), None)
+        self._note(notes, now_s)
 
     # -- out ----------------------------------------------------------------------------------------------------
+
+    def _note(self, notes: Iterable[Statement], now_s: float) -> None:
+        if self._options.act:
+            for note in notes:
+                self._send_all(self._announcer.note(note, now_s), None)
 
     def _say_verdict(self, now_s: float) -> None:
         if self._options.act:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
+from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.nff import NffAdapter
 from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
@@ -51,8 +52,6 @@ class Meeting:
     def adapter(self, kind: Kind, target: tuple[int, int]) -> Adapter:
         """A new one, that knows nothing of its autopilot yet."""
         if kind == "ardupilot":
-            from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
-
             return ArduPilotAdapter(self._vehicle, target, self._plans, self.instance)
         if kind == "px4":
             return Px4Adapter(self._vehicle, target, self._journal, self._px4_method)

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from nff_companion.allocation.plan import Plan
+from nff_companion.autopilots import times
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
-from nff_companion.autopilots.base import Applied, Capabilities, Finding, Stream
+from nff_companion.autopilots.base import Finding, Permit
+from nff_companion.autopilots.schedule import Command, Declare, Drive, Load
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.condition import Condition, InForce, Reason, Source, Statement, read_only
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import AllocationInfeasible, TunnelError
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.mavlink.services.parameter_reader import ParameterReader
-from nff_companion.pipeline import Mode, Output
+from nff_companion.mavlink.services.streams import Stream
 
-MATRIX_TIMEOUT_MS = 500
-OVERRIDE_TIMEOUT_MS = 100
-_MATRIX_INTERVAL_S = 0.05
-_DECLARATION_INTERVAL_S = 0.05
-_HEARTBEAT_INTERVAL_S = 0.2
-_TABLE_INTERVAL_S = 0.02
-_TABLE_RETRY_S = 0.5
-_ANSWER_MAX_S = 1.0
 _SPEED_HZ = 100.0
 _GUIDED = 4
 _ESC_TELEMETRY = (
@@ -37,40 +34,22 @@ class ArduPilotAdapter:
     """One vehicle. ``target`` is the autopilot's (system, component); ``plans`` are computed ahead, by failed mask."""
 
     name = "ardupilot"
-    farewell_s = 0.0
-    unfinished = False
 
-    def __init__(self, vehicle: Vehicle, target: tuple[int, int], plans: dict[int, Plan]) -> None:
-        self._vehicle, self.target = vehicle, target
-        self.capabilities = Capabilities(declare=True, matrix=True, outputs=True)
+    def __init__(self, vehicle: Vehicle, target: tuple[int, int], plans: dict[int, Plan], instance: int = 1) -> None:
+        self._vehicle, self.target, self._instance = vehicle, target, instance
         self._decoder = TelemetryDecoder(vehicle)
-        self.applied = Applied()
-        self.parameters = ParameterReader(checks.names(vehicle), target, bytewise=False)
-        self._tables = {mask: t.tobytes() for mask, t in factors.of_plans(vehicle, plans).items()}
-        self._stored: set[int] = set()
-        self._table_sent_s = dict.fromkeys(self._tables, -np.inf)
-        self._next_table_s = self._next_heartbeat_s = -np.inf
+        self._parameters = ParameterReader(checks.names(vehicle), target, bytewise=False)
+        self._next_heartbeat_s = -np.inf
         self._sequence = 0
-        self._mode = Mode.OBSERVE
         self._boot_ms: int | None = None
         self._flags = 0
         self._motors = vehicle.motors
-        self._declared = np.zeros(vehicle.motors, bool)
-        self._declared_s = self._matrix_s = self._applied_s = -np.inf
-        self._plan: Plan | None = None
-        self.unreadable = 0  # tunnel messages that could not be understood
+        self._applied_s = self._first_s = -np.inf
+        self._in_force = InForce()
         self._complaint = ""
+        self._untold: Statement | None = None
         self._custom_mode = -1
-
-    @property
-    def tables_stored(self) -> bool:
-        """Whether the applet has every table."""
-        return len(self._stored) == len(self._tables)
-
-    @property
-    def watchdog_alive(self) -> bool:
-        """Whether the second script on the autopilot runs."""
-        return bool(self._flags & Flag.WATCHDOG)
+        self._wrong: list[str] = []
 
     def streams(self, rate_hz: float) -> list[Stream]:
         """Messages to ask for. The autopilot keeps at most ten different intervals."""
@@ -88,122 +67,96 @@ class ArduPilotAdapter:
             ),
         ]
 
-    def observe(self, message: Message) -> Sample | None:
+    def observe(self, message: Message, now_s: float) -> Sample | None:
         """Telemetry, and what the applet says."""
         kind = message.get_type()
+        if not np.isfinite(self._first_s):
+            self._first_s = now_s
         if kind == "TUNNEL":
-            self._tunnel(message)
+            self._tunnel(message, now_s)
             return None
         if kind == "PARAM_VALUE":
-            self.parameters.observe(message)
+            self._parameters.observe(message)
+            self._wrong = checks.contradictions(self._parameters.values, self._vehicle)
             return None
         if kind == "HEARTBEAT":
             self._custom_mode = message.custom_mode
         return self._decoder.observe(message)
 
-    def _tunnel(self, message: Message) -> None:
+    def _tunnel(self, message: Message, now_s: float) -> None:
         try:
             inner = tunnel.unwrap(message)
         except TunnelError as error:
-            self.unreadable += 1
             self._complaint = str(error)
             return
-        if inner is None:
+        if inner is None or inner.kind != Kind.APPLIED:
             return
         self._complaint = ""
         values = inner.values
-        if inner.kind == Kind.STORED:
-            table = self._tables.get(values["failed"])
-            if table is not None and tunnel.check(table) == values["check"]:
-                self._stored.add(values["failed"])
-        elif inner.kind == Kind.APPLIED:
-            if self._boot_ms != values["boot_ms"]:
-                # The applet was started anew: what it had been told is gone.
-                self._boot_ms, self._stored, self._declared_s = values["boot_ms"], set(), -np.inf
-            self._applied_s = 1e-3 * values["time_ms"]
-            self._flags, self._motors = values["flags"], values["motors"]
-            self.capabilities = Capabilities(declare=True, matrix=bool(self._flags & Flag.MATRIX), outputs=True)
-            bits = np.arange(self._vehicle.motors)
-            self.applied = Applied(
-                source=values["source"],
-                failed=((values["failed"] >> bits) & 1).astype(bool),
-                matrix_sequence=values["matrix_sequence"],
-                override_sequence=values["override_sequence"],
-                declaration_sequence=values["declaration_sequence"],
-                refused={name: values[name] for name in tunnel.REFUSALS},
-            )
+        self._boot_ms, self._applied_s = values["boot_ms"], now_s
+        self._flags, self._motors = values["flags"], values["motors"]
+        bits = np.arange(self._vehicle.motors)
+        self._in_force = InForce(
+            source=Source(min(values["source"], max(Source))),
+            failed=read_only(((values["failed"] >> bits) & 1).astype(bool)),
+            refused=MappingProxyType({name: values[name] for name in tunnel.REFUSALS}),
+        )
 
-    @property
-    def telemetry(self) -> TelemetryTable | None:
-        """HIGHRES_IMU carries the gyro behind INS_GYRO_FILTER and the accelerometer behind INS_ACCEL_FILTER."""
-        values = self.parameters.values
-        if "INS_GYRO_FILTER" not in values or "INS_ACCEL_FILTER" not in values:
-            return None
-        return TelemetryTable(values["INS_GYRO_FILTER"], values["INS_ACCEL_FILTER"])
+    def condition(self, now_s: float) -> Condition:
+        """What stands in the way, and what the applet has in force."""
+        matrix = bool(self._flags & Flag.MATRIX)
+        values = self._parameters.values
+        telemetry = None
+        if "INS_GYRO_FILTER" in values and "INS_ACCEL_FILTER" in values:
+            telemetry = TelemetryTable(values["INS_GYRO_FILTER"], values["INS_ACCEL_FILTER"])
+        return Condition(
+            armed=self._decoder.armed,
+            command=self._obstacle(now_s),
+            allocate=None if matrix else Statement(Reason.NO_MATRIX_TAKEN),
+            drive=None if self._custom_mode == _GUIDED else Statement(Reason.NOT_GUIDED),
+            untold=self._untold,
+            takes_matrix=matrix,
+            in_force=self._in_force,
+            telemetry=telemetry,
+            notes=self._notes(now_s),
+        )
 
-    def complaints(self) -> list[str]:
-        """What stands in the way of acting, and a watchdog that is silent."""
-        out = checks.contradictions(self.parameters.values, self._vehicle)[:1]
+    def _obstacle(self, now_s: float) -> Statement | None:
+        if not self._parameters.complete:
+            return Statement(Reason.READING)
+        if self._parameters.absent:
+            return Statement(Reason.PARAMETER_SILENT, self._parameters.absent[0])
+        if self._wrong:
+            return Statement(Reason.CONTRADICTION, self._wrong[0])
+        if self._complaint:
+            return Statement(Reason.UNREADABLE, self._complaint)
+        if now_s - self._applied_s > times.ANSWER_MAX_S:
+            return Statement(Reason.SILENT, "the applet")
+        if self._motors != self._vehicle.motors:
+            return Statement(Reason.APPLET_MOTORS, f"{self._motors} motors, the airframe has {self._vehicle.motors}")
+        return None
+
+    def _notes(self, now_s: float) -> tuple[Statement, ...]:
         if self._boot_ms is None:
-            out.append("applet does not answer, observing")
-        elif not self.watchdog_alive:
-            out.append("applet watchdog is silent")
-        return out
+            late = now_s - self._first_s > times.GROUND_PATIENCE_S
+            return (Statement(Reason.SILENT, "the applet"),) if late else ()
+        return () if self._flags & Flag.WATCHDOG else (Statement(Reason.WATCHDOG_SILENT),)
 
     def findings(self) -> list[Finding]:
-        """Applet, watchdog, tables, and the parameters that must agree with the airframe."""
-        values = self.parameters.values
-        alive = self._boot_ms is not None
-        count, wanted = len(self._stored), len(self._tables)
-        wrong = checks.contradictions(values, self._vehicle)
+        """Applet, watchdog, and the parameters that must agree with the airframe."""
+        values, alive = self._parameters.values, self._boot_ms is not None
+        watchdog = bool(self._flags & Flag.WATCHDOG)
         out = [
             Finding(
                 "applet", alive, "answers" if alive else self._complaint or "does not answer: installed? SCR_ENABLE 1?"
             ),
-            Finding("watchdog", alive and self.watchdog_alive, "runs" if self.watchdog_alive else "is silent"),
-            Finding("tables", self.tables_stored, f"{count} of {wanted} stored on the autopilot"),
+            Finding("watchdog", alive and watchdog, "runs" if watchdog else "is silent"),
             Finding("motors", alive and self._motors == self._vehicle.motors, f"the applet flies {self._motors}"),
         ]
-        wrong += [f"no answer for {name}" for name in self.parameters.absent]
-        read = self.parameters.complete and not wrong
+        wrong = [*self._wrong, *(f"no answer for {name}" for name in self._parameters.absent)]
+        read = self._parameters.complete and not wrong
         out.append(Finding("parameters", read, "; ".join(wrong) or "agree with the airframe"))
-        out += [Finding("advice", None, text) for text in checks.advice(values, self._vehicle)]
-        return out
-
-    def hands_off(self) -> str:
-        """Override follows the targets of GUIDED alone: in every other mode it would fly against the pilot."""
-        return "" if self._custom_mode == _GUIDED else "override needs flight mode GUIDED: allocating instead"
-
-    def declare(self, failed: np.ndarray, time_s: float) -> list[Message]:
-        """The declaration as it is now."""
-        self._declared, self._declared_s = failed.copy(), time_s
-        mask = int((1 << np.flatnonzero(failed)).sum())
-        return [self._message(Kind.DECLARATION, sample_ms=tunnel.milliseconds(time_s), failed=mask)]
-
-    def verdict(self, output: Output) -> str:
-        """The matrix where it can be loaded; else outputs, or nothing but a stopped motor."""
-        if output.mode == Mode.OVERRIDE:
-            return "driving outputs"
-        return "reallocated" if output.plan is not None and self.capabilities.matrix else "stopped, NO matrix"
-
-    def blocked(self, time_s: float, mode: Mode) -> str:
-        """Why no command may be sent at ``time_s``; empty when one may."""
-        if not self.parameters.complete:
-            return "reading the autopilot's parameters"
-        if self.parameters.absent:
-            return f"the autopilot does not answer for {self.parameters.absent[0]}: observing"
-        wrong = checks.contradictions(self.parameters.values, self._vehicle)
-        if wrong:
-            return f"{wrong[0]}: observing"
-        if self._complaint:
-            return f"applet: {self._complaint}"
-        if abs(time_s - self._applied_s) > _ANSWER_MAX_S:
-            return "the applet does not answer: is it installed, and SCR_ENABLE 1? Observing"
-        if self._motors != self._vehicle.motors:
-            return f"the applet flies {self._motors} motors, the airframe has {self._vehicle.motors}: install it again"
-        if mode == Mode.ALLOCATE and not self.capabilities.matrix:
-            return "FRAME_CLASS is not 17: no matrix can be loaded; set it, or use override mode"
-        return ""
+        return out + [Finding("advice", None, text) for text in checks.advice(values, self._vehicle)]
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -214,66 +167,41 @@ class ArduPilotAdapter:
         inner = TunnelMessage(kind, {"sequence": self._sequence, **v}, rows, pwm)
         return tunnel.wrap(inner.pack(), self.target)
 
-    def tick(self, now_s: float) -> list[Message]:
-        """Heartbeat of the working loop, parameters that are still unknown, tables that are not yet stored."""
-        out = self.parameters.tick(now_s)
+    def due(self, now_s: float, permit: Permit) -> list[Message]:
+        """Heartbeat of the working loop, and parameters that are still unknown."""
+        out = self._parameters.tick(now_s)
         if now_s >= self._next_heartbeat_s:
-            self._next_heartbeat_s = now_s + _HEARTBEAT_INTERVAL_S
-            out.append(self._message(Kind.HEARTBEAT, mode=int(self._mode)))
-        if self._boot_ms is not None and now_s >= self._next_table_s and not self.tables_stored:
-            self._next_table_s = now_s + _TABLE_INTERVAL_S
-            for mask, table in self._tables.items():
-                if mask not in self._stored and now_s - self._table_sent_s[mask] > _TABLE_RETRY_S:
-                    self._table_sent_s[mask] = now_s
-                    rows = np.frombuffer(table, np.int16).reshape(-1, 4)
-                    out.append(self._message(Kind.TABLE, failed=mask, flags=0, rows=rows))
-                    break
+            self._next_heartbeat_s = now_s + times.HEARTBEAT_INTERVAL_S
+            out.append(self._message(Kind.HEARTBEAT, mode=0))
         return out
 
-    def act(self, output: Output) -> list[Message]:
-        """Declaration when it changed or is not yet confirmed, matrix at 20 Hz and on change."""
-        self._mode = output.mode
-        if output.mode == Mode.OBSERVE:
-            return []
-        sample_ms = tunnel.milliseconds(output.time_s)
-        mask = int((1 << np.flatnonzero(output.failed)).sum())
-        messages: list[Message] = []
-        changed = bool((output.failed != self._declared).any())
-        confirmed = self.applied.failed is not None and bool((self.applied.failed == output.failed).all())
-        again = not confirmed and not 0.0 <= output.time_s - self._declared_s < _DECLARATION_INTERVAL_S
-        if output.flying and (changed or again):
-            messages += self.declare(output.failed, output.time_s)
-        if output.plan is not None and self.capabilities.matrix:
-            fresh = output.plan is not self._plan
-            if fresh or not 0.0 <= output.time_s - self._matrix_s < _MATRIX_INTERVAL_S:
-                self._plan, self._matrix_s = output.plan, output.time_s
-                messages += self._matrix(output.plan, mask, sample_ms)
-        elif self._plan is not None:
-            self._plan = None
-            messages += self.release(output.time_s)
-        return messages
+    def encode(self, command: Command) -> list[Message]:
+        """Messages that tell the applet."""
+        sample_ms = tunnel.milliseconds(command.time_s)
+        if isinstance(command, Declare):
+            return [self._message(Kind.DECLARATION, sample_ms=sample_ms, failed=_mask(command.failed))]
+        if isinstance(command, Load):
+            return self._matrix(command, sample_ms)
+        if isinstance(command, Drive):
+            low, high = self._vehicle.command.pwm_min, self._vehicle.command.pwm_max
+            pwm = np.clip(np.round(low + (high - low) * command.outputs), low, high).astype(np.uint16)
+            timeout_ms = round(1e3 * times.OVERRIDE_TIMEOUT_S)
+            return [self._message(Kind.OVERRIDE, sample_ms=sample_ms, timeout_ms=timeout_ms, pwm=pwm)]
+        return [self._message(Kind.RELEASE, sample_ms=sample_ms)]
 
-    def _matrix(self, plan: Plan, mask: int, sample_ms: int) -> list[Message]:
+    def _matrix(self, command: Load, sample_ms: int) -> list[Message]:
         try:
-            rows = factors.of_matrix(self._vehicle, plan.matrix)
+            rows = factors.of_matrix(self._vehicle, command.plan.matrix)
         except AllocationInfeasible as error:
-            self._complaint = str(error)
+            self._untold = Statement(Reason.NOT_TOLD, str(error))
             return []
-        flags = int(bool(plan.released))
+        self._untold = None
+        flags, timeout_ms = int(bool(command.plan.released)), round(1e3 * times.MATRIX_TIMEOUT_S)
+        mask = _mask(command.failed)
         return [
-            self._message(
-                Kind.MATRIX, sample_ms=sample_ms, timeout_ms=MATRIX_TIMEOUT_MS, failed=mask, flags=flags, rows=rows
-            )
+            self._message(Kind.MATRIX, sample_ms=sample_ms, timeout_ms=timeout_ms, failed=mask, flags=flags, rows=rows)
         ]
 
-    def drive(self, outputs: np.ndarray, time_s: float) -> list[Message]:
-        """Motor outputs (m,) in 0..1 that answer the sample of ``time_s``."""
-        command = self._vehicle.command
-        low, high = command.pwm_min, command.pwm_max
-        pwm = np.clip(np.round(low + (high - low) * outputs), low, high).astype(np.uint16)
-        sample_ms = tunnel.milliseconds(time_s)
-        return [self._message(Kind.OVERRIDE, sample_ms=sample_ms, timeout_ms=OVERRIDE_TIMEOUT_MS, pwm=pwm)]
 
-    def release(self, time_s: float) -> list[Message]:
-        """Drop the matrix; outputs expire by themselves, declarations stay."""
-        return [self._message(Kind.RELEASE, sample_ms=tunnel.milliseconds(time_s))]
+def _mask(failed: np.ndarray) -> int:
+    return int((1 << np.flatnonzero(failed)).sum())
