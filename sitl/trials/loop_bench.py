@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import select
@@ -18,7 +19,7 @@ from nff_companion.mavlink.codec import Codec, Message, dialect
 from sitl.fleet import AUTOPILOT_RATE_HZ
 from sitl.telemetry import Telemetry
 from sitl.trials.demo import DemoOptions, make_fleet
-from sitl.trials.process import DaemonProcess, config_text, free_port
+from sitl.trials.process import DAEMON_PRIORITY, DaemonProcess, config_text, free_port
 
 _WARM_UP_S = 4.0
 _TIMEOUT_S = 0.5
@@ -33,6 +34,8 @@ _SAMPLE = (
 
 def echo(port: int, ready: Any) -> None:
     """The peer: parse one message, pack one, until told to stop (COMMAND_LONG)."""
+    with contextlib.suppress(OSError):  # scheduled as the daemon is, where that is permitted
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(DAEMON_PRIORITY))
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", port))
@@ -164,17 +167,19 @@ def _measure(
         if k % max(round(0.5 / period), 1) == 0:
             feeder.send(heartbeat)
             feeder.send(dialect.MAVLink_nff_applied_message(sample[-1].time_usec, *[0] * 12))
-        for message in sample:
+        for message in sample[:-1]:
             feeder.send(message)
+        # Before the last one leaves: a daemon of higher priority may answer while it is being sent.
         sent = time.perf_counter()
+        feeder.send(sample[-1])
         answered = feeder.answer(sample[-1].time_usec, sent + (_ANSWER_S if k >= warm else 0.5 * period))
         if k >= warm:
             if answered is None:
                 missed += 1
             else:
                 loop_s.append(answered - sent)
-            echoer.send(sample[-1])
             sent = time.perf_counter()
+            echoer.send(sample[-1])
             echoed = echoer.answer(sample[-1].time_usec, sent + _ANSWER_S)
             echoer.sequence = -1
             if echoed is not None:

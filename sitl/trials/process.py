@@ -12,7 +12,7 @@ from typing import Any
 
 _END_S = 5.0
 _LAUNCHER = Path(__file__).with_name("launch.py")
-_DAEMON_PRIORITY = 20  # CPUSchedulingPriority of systemd/nff-companion.service
+DAEMON_PRIORITY = 20  # CPUSchedulingPriority of systemd/nff-companion.service
 
 
 def start(command: list[str], *, priority: int = 0, **options: Any) -> subprocess.Popen[Any]:
@@ -60,7 +60,7 @@ class DaemonProcess:
         self._log = None if log is None else log.open("ab")
         self.process = start(
             [sys.executable, "-m", "nff_companion.cli.main", "run", "--config", str(config)],
-            priority=_DAEMON_PRIORITY,
+            priority=DAEMON_PRIORITY,
             stdout=subprocess.DEVNULL,
             stderr=self._log if self._log is not None else None,
             env={**os.environ, **(environment or {})},
