@@ -12,7 +12,7 @@ from nff_companion.core.disturbance import Disturbance, SideDragState, learn_sid
 from nff_companion.core.filters import LowPass, lag_share, loss_response
 from nff_companion.core.onset import OnsetBank
 from nff_companion.core.residual import ResidualFilter
-from nff_companion.core.tuning import Tuning
+from nff_companion.core.tuning import SparseTuning, Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import SolverError
 
@@ -250,6 +250,28 @@ def test_nuisance_motors_take_no_blame_and_give_none(octo: Vehicle, rng: np.rand
     assert np.abs(vector).max() < 1e-3 * np.abs(state.vector).max()
     assert energy[0] < 1e-3 * state.energy
     assert not matrix[0, 0].any()
+
+
+@pytest.mark.parametrize("gone", [[2], [0, 5], [1, 4, 6]])
+def test_beside_declared_motors_the_sparse_step_is_that_of_the_schur_complement(
+    octo: Vehicle, rng: np.random.Generator, gone: list[int]
+) -> None:
+    loss = np.zeros(8)
+    loss[[gone[0], 7]] = -0.6, -0.7
+    b, u, y = data(rng, octo, 80, loss, noise=0.3)
+    state = sparse.Information.empty(8)
+    for k in range(80):
+        state = sparse.update(state, b * u[k], y[k] + b[:, gone] @ u[k, gone], np.ones(4), DT, 0.0)
+    failed = np.isin(np.arange(8), gone)
+    matrix, vector, _, free = hypotheses.without_nuisance(
+        state.matrix[None], state.vector[None], np.array([state.energy]), np.array(gone)
+    )
+    tuning = SparseTuning(gamma=0.1)
+    eta = sparse.effectiveness(state, failed, tuning)
+    rest = sparse.Information(matrix[0], vector[0], 0.0)
+    np.testing.assert_allclose(eta[~failed], 1.0 + sparse.solve(rest, tuning.gamma)[~failed], atol=1e-9)
+    np.testing.assert_allclose(eta[gone], np.clip(free[0], 0.0, tuning.free_max), atol=1e-9)
+    assert eta[7] < 0.6, "what the others lose is found beside them"
 
 
 def test_side_drag_recursion_equals_batch_least_squares(rng: np.random.Generator) -> None:
