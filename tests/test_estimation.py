@@ -12,8 +12,9 @@ from nff_companion.core.disturbance import Disturbance, SideDragState, learn_sid
 from nff_companion.core.filters import LowPass, lag_share, loss_response
 from nff_companion.core.onset import OnsetBank
 from nff_companion.core.residual import ResidualFilter
-from nff_companion.core.tuning import Tuning
+from nff_companion.core.tuning import SparseTuning, Tuning
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.errors import SolverError
 
 DT = 0.005
 TUNING = Tuning()
@@ -97,6 +98,23 @@ def test_the_other_sign_of_gamma_would_drive_healthy_motors_to_minus_one(
     state = sparse.update(sparse.Information.empty(8), b * u[0], y[0], np.ones(4), DT, 0.0)
     assert np.abs(sparse.solve(state, 50.0)).max() < 1e-12
     assert sparse.solve(state, -50.0).min() == -1.0
+
+
+def test_where_no_loss_would_pay_the_program_need_not_be_solved(octo: Vehicle, rng: np.random.Generator) -> None:
+    b, u, y = data(rng, octo, 40, np.zeros(8), noise=1.0)
+    state = sparse.Information.empty(8)
+    for k in range(40):
+        state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
+    gamma = float(-state.vector.min()) * (1.0 + 1e-9)
+    assert not sparse.solve(state, gamma).any()
+    np.testing.assert_allclose(sparse._box_program(state.matrix.copy(), -(state.vector + gamma), None), 0.0, atol=1e-6)
+    assert sparse.solve(state, 0.9 * gamma).min() < 0.0, "just below, one does"
+
+
+def test_what_is_not_finite_is_no_quiet_sum(octo: Vehicle) -> None:
+    state = sparse.Information(matrix=np.eye(8), vector=np.full(8, np.nan), energy=0.0)
+    with pytest.raises(SolverError):
+        sparse.solve(state, 1.0)
 
 
 def test_an_undriven_motor_keeps_no_opinion(octo: Vehicle) -> None:
@@ -232,6 +250,28 @@ def test_nuisance_motors_take_no_blame_and_give_none(octo: Vehicle, rng: np.rand
     assert np.abs(vector).max() < 1e-3 * np.abs(state.vector).max()
     assert energy[0] < 1e-3 * state.energy
     assert not matrix[0, 0].any()
+
+
+@pytest.mark.parametrize("gone", [[2], [0, 5], [1, 4, 6]])
+def test_beside_declared_motors_the_sparse_step_is_that_of_the_schur_complement(
+    octo: Vehicle, rng: np.random.Generator, gone: list[int]
+) -> None:
+    loss = np.zeros(8)
+    loss[[gone[0], 7]] = -0.6, -0.7
+    b, u, y = data(rng, octo, 80, loss, noise=0.3)
+    state = sparse.Information.empty(8)
+    for k in range(80):
+        state = sparse.update(state, b * u[k], y[k] + b[:, gone] @ u[k, gone], np.ones(4), DT, 0.0)
+    failed = np.isin(np.arange(8), gone)
+    matrix, vector, _, free = hypotheses.without_nuisance(
+        state.matrix[None], state.vector[None], np.array([state.energy]), np.array(gone)
+    )
+    tuning = SparseTuning(gamma=0.1)
+    eta = sparse.effectiveness(state, failed, tuning)
+    rest = sparse.Information(matrix[0], vector[0], 0.0)
+    np.testing.assert_allclose(eta[~failed], 1.0 + sparse.solve(rest, tuning.gamma)[~failed], atol=1e-9)
+    np.testing.assert_allclose(eta[gone], np.clip(free[0], 0.0, tuning.free_max), atol=1e-9)
+    assert eta[7] < 0.6, "what the others lose is found beside them"
 
 
 def test_side_drag_recursion_equals_batch_least_squares(rng: np.random.Generator) -> None:

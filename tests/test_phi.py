@@ -103,6 +103,12 @@ def test_a_is_projected_until_the_fixed_point_exists(basis: Basis, octo: Vehicle
     assert basis.project(small, octo, 3.0) is small
 
 
+def test_the_cheap_bound_of_the_contraction_is_never_below_it(basis: Basis, octo: Vehicle, rng) -> None:
+    for _ in range(100):
+        a = rng.standard_normal(basis.prior.shape) * rng.uniform(0.0, 2.0, basis.prior.shape)
+        assert basis._contraction_bound(a, octo, 2.0) >= basis.contraction(a, octo, 2.0) * (1.0 - 1e-12)
+
+
 def test_a_network_that_breaks_the_contraction_is_refused(basis: Basis, octo: Vehicle, tmp_path: Path) -> None:
     dataclasses.replace(basis, prior=1000.0 * np.ones_like(basis.prior)).save(tmp_path / "wild.npz")
     with pytest.raises(NetworkError, match=r"\(6\.8\)"):

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from nff_companion.core import hypotheses, sparse
+from nff_companion.core import sparse
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import (
     Basis,
@@ -201,7 +201,8 @@ class Estimator:
             best, direct = self._weigh(state, seen, onset, measurement.stopped)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
-                effectiveness, deviation = self._effectiveness(information, decision.failed)
+                effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
+                deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
             command = measurement.command
             decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
         if any(event.declared for event in events):
@@ -303,20 +304,6 @@ class Estimator:
         gamma = self.tuning.onset.gamma_onset
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         return self._decision.best(sums, failed, gamma), direct
-
-    def _effectiveness(self, information: sparse.Information, failed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """eta and deviation (m,); motors already declared have a free coefficient instead of a loss."""
-        deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-        if True not in failed.tolist():
-            return 1.0 + sparse.solve(information, self.tuning.sparse.gamma), deviation
-        nuisance = np.flatnonzero(failed)
-        matrix, vector, energy, free = hypotheses.without_nuisance(
-            information.matrix, information.vector, np.asarray(information.energy), nuisance
-        )
-        rest = sparse.Information(matrix=matrix, vector=vector, energy=float(energy))
-        eta = 1.0 + sparse.solve(rest, self.tuning.sparse.gamma)
-        eta[nuisance] = np.minimum(np.maximum(free, 0.0), self.tuning.sparse.free_max)
-        return eta, deviation
 
     def _learn(
         self,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
+from nff_companion.core.tuning import SparseTuning
 from nff_companion.errors import SolverError
 
 _TINY = 1e-9
@@ -82,6 +83,28 @@ def _box_program(hessian: np.ndarray, gradient: np.ndarray, lower: np.ndarray | 
     if flag != 1 or not math.isfinite(sum(e.tolist())):
         raise SolverError(f"sparse step: daqp ended with flag {flag}; the last estimate stays")
     return np.minimum(np.maximum(e, low), high)
+
+
+def effectiveness(information: Information, failed: np.ndarray, tuning: SparseTuning) -> np.ndarray:
+    """eta (m,); motors already ``failed`` (m,) bool have a free coefficient in 0..``free_max`` instead of a loss,
+    fitted with the losses of the others: hypotheses.without_nuisance for one window. Raises SolverError."""
+    if True not in failed.tolist():
+        return 1.0 + solve(information, tuning.gamma)
+    matrix, vector = information.matrix, information.vector
+    left, gone = np.flatnonzero(~failed), np.flatnonzero(failed)
+    ridge = 1e-6 * sum(matrix.diagonal().tolist()) + _TINY
+    inverse = np.linalg.inv(matrix[gone[:, None], gone] + ridge * np.eye(len(gone)))
+    cross, part = matrix[left[:, None], gone], vector[gone]
+    gain = cross.dot(inverse)
+    rest = Information(
+        matrix=matrix[left[:, None], left] - gain.dot(cross.T),
+        vector=vector[left] - np.einsum("ij,j->i", gain, part),
+        energy=0.0,
+    )
+    eta = np.empty(len(vector))
+    eta[left] = 1.0 + solve(rest, tuning.gamma)
+    eta[gone] = np.minimum(np.maximum(np.einsum("ij,j->i", inverse, part), 0.0), tuning.free_max)
+    return eta
 
 
 def deviation(information: Information, prior: float = 1.0) -> np.ndarray:

@@ -1,0 +1,77 @@
+"""The estimator as a whole: what it hands out stays as it was, and it is asked in one way."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from golden import flights
+
+from nff_companion.core import basis_network
+from nff_companion.core.estimator import Estimate, Estimator, Measurement, Motion
+from nff_companion.core.vehicle import Vehicle
+
+DT = 0.005
+
+
+def measurements(octo: Vehicle, name: str) -> list[Measurement]:
+    samples = flights.unpack(flights.load(name)[0])
+    return [
+        Measurement(
+            time_s=sample.time_s,
+            dt_s=DT,
+            gyro=sample.gyro_rad_s,
+            specific_force=sample.specific_force_m_s2,
+            command=octo.thrust_fraction(sample.output),
+            motion=Motion(sample.velocity_m_s, sample.quaternion),
+            allocation_norm=2.0,
+        )
+        for sample in samples[400:]
+    ]
+
+
+def arrays(estimate: Estimate) -> dict[str, np.ndarray]:
+    values = {f.name: getattr(estimate, f.name) for f in fields(estimate)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+@pytest.mark.parametrize("flight", ["single", "pair"])
+def test_what_was_handed_out_never_changes_afterwards(octo: Vehicle, flight: str) -> None:
+    """Through a declaration, and through several turns of the ring of the onsets."""
+    estimator = Estimator(octo, DT, network=basis_network.for_vehicle(octo, "airframe"))
+    first, *rest = measurements(octo, flight)
+    state = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
+    kept = []
+    for measurement in rest:
+        state, estimate = estimator.advance(state, measurement)
+        kept.append((arrays(estimate), {name: value.copy() for name, value in arrays(estimate).items()}))
+    assert any(given["failed"].any() for given, _ in kept), "a motor is declared"
+    for given, copied in kept:
+        for name in copied:
+            np.testing.assert_array_equal(given[name], copied[name], err_msg=name)
+
+
+def test_what_is_given_is_not_written_to(octo: Vehicle) -> None:
+    estimator = Estimator(octo, DT)
+    first, *rest = measurements(octo, "single")
+    state = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
+    for measurement in rest:
+        for array in (measurement.gyro, measurement.specific_force, measurement.command):
+            array.flags.writeable = False
+        state, _ = estimator.advance(state, measurement)
+    assert state.decision.failed.sum() == 1
+
+
+def test_a_measurement_and_its_fields_one_by_one_are_the_same_step(octo: Vehicle) -> None:
+    estimator = Estimator(octo, DT)
+    first, *rest = measurements(octo, "hover")
+    one = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
+    other = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
+    for m in rest[:300]:
+        one, by_measurement = estimator.advance(one, m)
+        other, by_fields = estimator.step(
+            other, m.time_s, m.gyro, m.specific_force, m.command, m.dt_s, m.stopped, m.motion, m.allocation_norm
+        )
+        np.testing.assert_array_equal(by_measurement.residual, by_fields.residual)
+        np.testing.assert_array_equal(by_measurement.effectiveness, by_fields.effectiveness)
