@@ -4,47 +4,73 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 
+from nff_companion.allocation.planner import PlannerOptions
+from nff_companion.core import toml_file
+from nff_companion.core.adaptation import AdaptationOptions
+from nff_companion.core.decision import DecisionOptions
 from nff_companion.core.estimator import EstimatorOptions
+from nff_companion.core.flight_phase import FlightPhaseOptions
+from nff_companion.core.toml_file import Name, Text
+from nff_companion.core.tuning import Tuning, check
+from nff_companion.core.tuning.span import shown, span
+from nff_companion.core.vehicle import THRUST_TO_WEIGHT
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.endpoint import parse
 from nff_companion.pipeline import Mode, PipelineOptions
 
 ModeName = Literal["observe", "allocate", "override"]
 MODES: dict[str, Mode] = {"observe": Mode.OBSERVE, "allocate": Mode.ALLOCATE, "override": Mode.OVERRIDE}
+_SOCKET_PATH_MAX = 100  # bytes; the kernel takes 107
+_WHAT = "configuration"
+T = TypeVar("T", bound=msgspec.Struct)
+
+# Where the options of the table [estimator], as it once was, have gone to.
+_MOVED = {
+    "network": "vehicle",
+    "forgetting_per_s": "tuning.sparse",
+    "gamma": "tuning.sparse",
+    "solve_interval_s": "tuning.sparse",
+    "gamma_onset": "tuning.onset",
+}
 
 
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[link]``."""
 
-    endpoint: str
-    more_endpoints: list[str] = []
+    endpoint: Name
+    more_endpoints: list[Name] = []
     autopilot: Literal["auto", "nff", "ardupilot", "px4"] = "auto"
-    system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0  # of the autopilot; 0: the first one heard
+    system: Annotated[int, span(0, 255, "", "system id of the autopilot; 0: the first one heard")] = 0
     px4_method: Literal["scale", "inject"] = "scale"
-    rate_hz: Annotated[float, msgspec.Meta(ge=25, le=1000)] = 200.0
-    stream_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=2)] = 0.25
-    component: Annotated[int, msgspec.Meta(ge=191, le=194)] = 191
+    rate_hz: Annotated[float, span(25, 1000, "Hz", "telemetry that is asked for, and the estimator is built for")] = (
+        200.0
+    )
+    stream_timeout_s: Annotated[float, span(0.02, 2.0, "s", "without samples for so long: observe")] = 0.25
+    component: Annotated[int, span(191, 194, "", "MAVLink component id")] = 191
 
 
 class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[vehicle]``."""
 
-    airframe: str
-    thrust_to_weight: Annotated[float, msgspec.Meta(gt=1)] | None = None
+    airframe: Name
+    network: Name = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
+    thrust_to_weight: (
+        Annotated[float, span(*THRUST_TO_WEIGHT, "", "replaces the maximum thrust of the airframe file")] | None
+    ) = None
 
 
 class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[companion]``."""
 
-    mode: ModeName = "allocate"
-    allocation: str = "trim"
+    mode: ModeName = "observe"  # first flights observe: acting is asked for by name
+    allocation: Literal["pinv", "mca", "kim", "printed", "trim"] = "trim"
     law: Literal["baseline", "nf", "b", "eff", "nff"] = "nff"
-    status_socket: str = ""
-    state_folder: str = ""
+    status_socket: Text = ""
+    state_folder: Text = ""
 
 
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -53,16 +79,35 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     link: LinkConfig
     vehicle: VehicleConfig
     companion: CompanionConfig = CompanionConfig()
-    estimator: EstimatorOptions = EstimatorOptions()
+    tuning: Tuning = Tuning()
 
     def pipeline_options(self) -> PipelineOptions:
         """Options of the pipeline that this file asks for."""
+        t = self.tuning
         return PipelineOptions(
             mode=MODES[self.companion.mode],
             allocation=self.companion.allocation,
             law=self.companion.law,
-            estimator=self.estimator,
+            estimator=EstimatorOptions(
+                forgetting_per_s=t.sparse.forgetting_per_s,
+                gamma=t.sparse.gamma,
+                solve_interval_s=t.sparse.solve_interval_s,
+                gamma_onset=t.onset.gamma_onset,
+                network=self.vehicle.network,
+                adaptation=_narrowed(t.adaptation, AdaptationOptions),
+                decision=_narrowed(t.decision, DecisionOptions),
+            ),
+            flight_phase=_narrowed(t.flight_phase, FlightPhaseOptions),
+            planner=_narrowed(t.planner, PlannerOptions),
+            gap_max_s=t.companion.gap_max_s,
+            recover_s=t.companion.recover_s,
         )
+
+
+def _narrowed(tuning: msgspec.Struct, options: type[T]) -> T:
+    """The fields that ``options`` shares with ``tuning``, by name."""
+    names = {field.name for field in msgspec.structs.fields(options)}
+    return options(**{name: value for name, value in msgspec.structs.asdict(tuning).items() if name in names})
 
 
 def default_status_socket() -> str:
@@ -78,13 +123,43 @@ def default_state_folder() -> str:
 
 
 def load(path: Path) -> Config:
-    """Read a configuration file. Raises ConfigError naming the key, its value and what is allowed."""
+    """Read a configuration file. Raises ConfigError naming file, key, value and what is allowed."""
+    raw = toml_file.parsed(path, _WHAT)
+    moved = _moved(raw)
+    if moved:
+        raise ConfigError(f"{_WHAT} {path}: {moved}")
+    config = toml_file.converted(raw, Config, path, _WHAT)
     try:
-        config = msgspec.toml.decode(path.read_bytes(), type=Config)
-    except OSError as error:
-        raise ConfigError(f"configuration {path} cannot be read: {error.strerror}") from error
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
-        raise ConfigError(f"configuration {path}: {error}") from error
-    for url in (config.link.endpoint, *config.link.more_endpoints):
-        parse(url)
+        check(config.tuning)
+        for number, url in enumerate((config.link.endpoint, *config.link.more_endpoints)):
+            _check_endpoint(url, number)
+        if len(config.companion.status_socket.encode()) > _SOCKET_PATH_MAX:
+            raise ConfigError(
+                f"companion.status_socket = {shown(config.companion.status_socket)}: at most"
+                f" {_SOCKET_PATH_MAX} bytes are allowed"
+            )
+    except ConfigError as error:
+        raise ConfigError(f"{_WHAT} {path}: {error}") from error
     return config
+
+
+def _check_endpoint(url: str, number: int) -> None:
+    try:
+        parse(url)
+    except ConfigError as error:
+        raise ConfigError(f"link.{f'more_endpoints[{number}]' if number else 'endpoint'}: {error}") from error
+
+
+def _moved(raw: dict[str, Any]) -> str | None:
+    """Where to write what stands in the old table ``[estimator]``; None when there is none."""
+    if "estimator" not in raw:
+        return None
+    table = raw["estimator"]
+    for key, value in table.items() if isinstance(table, dict) else ():
+        if key in ("decision", "adaptation"):
+            inner = ", ".join(f"{key}.{name}" for name in value) if isinstance(value, dict) else key
+            return f"[estimator.{key}] is now [tuning.{key}]: write tuning.{inner or key}"
+        if key in _MOVED:
+            return f"estimator.{key} is now {_MOVED[key]}.{key}: write [{_MOVED[key]}] {key}"
+        return f"estimator.{shown(key)[1:-1]} is no option of a configuration, at most one of trials: remove it"
+    return "[estimator] is no more: its network is now vehicle.network, its numbers are in [tuning.*]: docs/tuning.md"

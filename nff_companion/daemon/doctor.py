@@ -24,7 +24,7 @@ class Doctor:
         """Raises NffError when the configuration or its endpoints cannot be used."""
         self._config = config
         self.vehicle, self._meeting = prepare(config)
-        self._network = basis_network.for_vehicle(self.vehicle, config.estimator.network)
+        self._network = basis_network.for_vehicle(self.vehicle, config.vehicle.network)
         self._poll = select.poll()
         self._hub = Hub(endpoints(config), 1, config.link.component, self._poll, time.monotonic())
         self._streams = StreamMonitor()
