@@ -16,14 +16,15 @@ from nff_companion.autopilots.base import Stream
 from nff_companion.core import vehicle
 from nff_companion.daemon.configuration import load
 from nff_companion.daemon.notify import Notifier
+from nff_companion.daemon.parameters import parameters
 from nff_companion.daemon.service import Daemon
-from nff_companion.errors import EndpointError
+from nff_companion.errors import ConfigError, EndpointError
 from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.mavlink.endpoint import parse
 from nff_companion.mavlink.hub import Hub
 from nff_companion.mavlink.services import host_status as host
 from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode, name_of
-from nff_companion.mavlink.services.parameter_server import ParameterServer
+from nff_companion.mavlink.services.parameter_server import Parameter, ParameterServer
 from nff_companion.mavlink.services.pilot_text import PilotText
 from nff_companion.mavlink.services.streams import StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
@@ -258,9 +259,13 @@ def test_texts_are_short_and_do_not_flood_but_a_failure_always_passes() -> None:
 
 
 @pytest.fixture
-def server() -> ParameterServer:
-    pipeline = Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
-    server = ParameterServer(pipeline, 191, pipeline.set_mode, pipeline.lift)
+def pipeline() -> Pipeline:
+    return Pipeline(vehicle.load("octo-x"), 200.0, PipelineOptions())
+
+
+@pytest.fixture
+def server(pipeline: Pipeline) -> ParameterServer:
+    server = ParameterServer(parameters(pipeline, pipeline.set_mode, pipeline.lift), 191)
     server.adopt(1)
     return server
 
@@ -274,7 +279,7 @@ def put(server: ParameterServer, name: str, value: float, component: int = 191) 
     return ask(server, dialect.MAVLink_param_set_message(1, component, name.encode(), value, 9))
 
 
-def test_a_ground_station_lists_reads_and_sets(server: ParameterServer) -> None:
+def test_a_ground_station_lists_reads_and_sets(server: ParameterServer, pipeline: Pipeline) -> None:
     listed = ask(server, dialect.MAVLink_param_request_list_message(1, 0))
     assert [m.param_index for m in listed] == list(range(len(listed)))
     assert all(m.param_count == len(listed) for m in listed)
@@ -283,13 +288,44 @@ def test_a_ground_station_lists_reads_and_sets(server: ParameterServer) -> None:
     assert value.param_value == 1.0
     (value,) = put(server, "NFF_MODE", 0.0)
     assert value.param_value == 0.0
-    assert server._pipeline.mode == Mode.OBSERVE
+    assert pipeline.mode == Mode.OBSERVE
     (value,) = put(server, "NFF_MARGIN", 9.0)
     assert value.param_value == 9.0
-    assert server._pipeline.estimator.options.decision.margin_min == 9.0
+    assert pipeline.estimator.options.decision.margin_min == 9.0
 
 
-def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(server: ParameterServer) -> None:
+def test_a_bound_may_be_set_although_the_wire_rounds_it(server: ParameterServer, pipeline: Pipeline) -> None:
+    (answer,) = put(server, "NFF_EXPLAINED", 0.99)
+    assert answer.param_value == pytest.approx(0.99)
+    assert pipeline.options.estimator.decision.explained_min == 0.99
+    assert server.refused == 0
+
+
+@pytest.mark.parametrize(("name", "value"), [("NFF_LOSS_SLOW", 0.3), ("NFF_FAILED_MAX", 2.5), ("NFF_MODE", 0.5)])
+def test_a_threshold_at_odds_with_another_or_not_whole_is_answered_with_the_one_that_stays(
+    server: ParameterServer, name: str, value: float
+) -> None:
+    (before,) = ask(server, dialect.MAVLink_param_request_read_message(1, 191, name.encode(), -1))
+    (answer,) = put(server, name, value)
+    assert answer.param_value == before.param_value
+    assert server.refused == 1
+
+
+@pytest.mark.parametrize("name", ["", "SEVENTEEN_LETTERS", "UMLÄUT", "A\0B"])
+def test_a_parameter_that_the_wire_does_not_carry_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="16 ASCII"):
+        Parameter(name, 0.0, 1.0, lambda: 0.0, lambda _: True)
+
+
+def test_two_parameters_of_one_name_are_refused() -> None:
+    one = Parameter("SAME", 0.0, 1.0, lambda: 0.0, lambda _: True)
+    with pytest.raises(ConfigError, match="SAME"):
+        ParameterServer([one, one], 191)
+
+
+def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(
+    server: ParameterServer, pipeline: Pipeline
+) -> None:
     for value in (99.0, -1.0, float("nan"), float("inf")):
         (answer,) = put(server, "NFF_MODE", value)
         assert answer.param_value == 1.0
@@ -297,7 +333,7 @@ def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(server:
     assert put(server, "NFF_MODE", 0.0, component=0) == [], "a broadcast must not set anything"
     assert put(server, "UNKNOWN", 0.0) == []
     assert ask(server, dialect.MAVLink_param_request_list_message(7, 0)) == []
-    assert server._pipeline.mode == Mode.ALLOCATE
+    assert pipeline.mode == Mode.ALLOCATE
 
 
 def test_the_computers_state_is_sendable() -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from nff_companion.allocation.verify import GAIN_MAX
 from nff_companion.core.estimator import Estimate
 from nff_companion.core.full_matrix import FullMatrix, FullMatrixOptions
+from nff_companion.core.tuning import DEFAULT
 from nff_companion.core.vehicle import Vehicle
 
 
 class AdaptedMatrix:
     """Bhat of one flight, in normalised units."""
 
-    def __init__(self, vehicle: Vehicle, options: FullMatrixOptions) -> None:
+    def __init__(
+        self, vehicle: Vehicle, options: FullMatrixOptions, gain_max: float = DEFAULT.planner.gain_max
+    ) -> None:
+        self._gain_max = gain_max
         self._nominal = vehicle.effectiveness
         self._unit = vehicle.normalised_per_acceleration
         self._adaptation = FullMatrix(vehicle.axes, vehicle.motors, options)
@@ -35,6 +38,6 @@ class AdaptedMatrix:
             inverse = np.linalg.pinv(matrix)
         except np.linalg.LinAlgError:
             inverse = np.full_like(fallback, np.nan)
-        if np.isfinite(inverse).all() and float(np.abs(inverse).max()) <= GAIN_MAX:
+        if np.isfinite(inverse).all() and float(np.abs(inverse).max()) <= self._gain_max:
             self._last = inverse
         return fallback if self._last is None else self._last

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.core import sparse
 from nff_companion.core.estimator import Estimate
+from nff_companion.core.tuning import PlannerTuning
 from nff_companion.core.vehicle import Vehicle
 
 
-class PlannerOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Tuning."""
+class PlannerOptions(PlannerTuning, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The numbers, and switches that trials alone set."""
 
     follow_estimate: bool = False  # the published way: allocate for the shaped estimate itself, nothing declared
     shape: bool = True  # of the estimate, (24)
-    shape_full_at: float = 0.75  # zeta
-    shape_none_below: float = 0.30  # xi; below it a motor is removed
-    degraded_for_s: float = 0.2  # a partial loss is allocated around after this long
-    resolve_change: float = 0.08  # of a motor's effectiveness, to compute a new matrix
-    resolve_interval_s: float = 0.1  # [L] runs its allocation at 10 Hz
-    catch_s: float = 2.0  # after a double failure roll and pitch have more right to torque than yaw
-    double_within_s: float = 0.5  # two declarations within this time are a double failure
 
 
 class Planner:
@@ -37,7 +30,7 @@ class Planner:
         self.planned_for = np.ones(vehicle.motors)  # NaN: not yet solved
         self.restart()
         self._untouched = True  # all motors healthy, the autopilot's own allocation in force
-        healthy = make_plan(allocate, vehicle.effectiveness, np.ones(vehicle.motors), vehicle.hover)
+        healthy = make_plan(allocate, vehicle.effectiveness, np.ones(vehicle.motors), vehicle.hover, tuning=options)
         self.healthy = healthy if isinstance(healthy, Plan) else None
 
     def restart(self) -> None:
@@ -77,7 +70,10 @@ class Planner:
             self.plan, self.refusal = None, ""
             return
         self._untouched = False
-        plan = make_plan(self._allocate, self._vehicle.effectiveness, target, self._vehicle.hover, catching=catching)
+        vehicle = self._vehicle
+        plan = make_plan(
+            self._allocate, vehicle.effectiveness, target, vehicle.hover, catching=catching, tuning=self._options
+        )
         if isinstance(plan, Refusal):
             self.rejected += 1
             self.refusal = f"no new matrix: {plan.reason}"
@@ -93,7 +89,7 @@ class Planner:
         if o.follow_estimate:
             eta = np.minimum(np.maximum(estimate.effectiveness, 0.0), 1.0)
             return sparse.shape(eta, o.shape_full_at, o.shape_none_below) if o.shape else eta
-        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < 0.2) & ~estimate.failed
+        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < o.deviation_max) & ~estimate.failed
         if int(low.sum()) > 1:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         target = np.ones(self._vehicle.motors)
@@ -101,7 +97,7 @@ class Planner:
             self._low_since_s = np.where(low, np.fmin(self._low_since_s, time_s), np.nan)
             lasting = time_s - np.nan_to_num(self._low_since_s, nan=np.inf) >= o.degraded_for_s
             shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
-            target = np.where(low & lasting, np.maximum(shaped, 0.1), target)
+            target = np.where(low & lasting, np.maximum(shaped, o.partial_min), target)
         else:
             self._low_since_s[:] = np.nan
         target[estimate.failed] = 0.0

@@ -9,16 +9,17 @@ import numpy as np
 from nff_companion.allocation.within_bounds import constrain, desaturate
 from nff_companion.control.law import Axes, ControlLaw, Knowledge, Memory, Reference, State
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import DEFAULT, LawTuning, OverrideTuning
 from nff_companion.core.vehicle import Vehicle
-
-_SERVED = 1e-6  # of an axis' torque: less than this missing is no saturation
 
 
 class OverrideLoop:
     """Holds the reference and the integrals; ``blind`` says why the loop cannot be closed, empty when it is."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._law = ControlLaw(vehicle)
+    def __init__(
+        self, vehicle: Vehicle, law: LawTuning = DEFAULT.law, tuning: OverrideTuning = DEFAULT.override
+    ) -> None:
+        self._law, self._tuning = ControlLaw(vehicle, law), tuning
         self._hold: Reference | None = None
         self._memory = Memory.empty()
         self.blind = ""
@@ -51,8 +52,11 @@ class OverrideLoop:
         state = State(position, velocity, q, sample.gyro_rad_s)
         reference = self._follow(sample, self._hold)
         demand, memory = self._law.demand(state, reference, self._memory, knowledge, dt_s)
-        thrust, served = desaturate(matrix, demand) if left is None else constrain(matrix, left, demand)
-        self._memory = memory.held_back(self._memory, np.abs(served - demand)[1:] > _SERVED)
+        if left is None:
+            thrust, served = desaturate(matrix, demand, self._tuning)
+        else:
+            thrust, served = constrain(matrix, left, demand, self._tuning)
+        self._memory = memory.held_back(self._memory, np.abs(served - demand)[1:] > self._tuning.served_error)
         if not math.isfinite(float(thrust.sum())):
             self.blind = "override: outputs not finite: allocating instead"
             return None

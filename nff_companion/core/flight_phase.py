@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import DEFAULT, FlightPhaseTuning
 from nff_companion.core.vehicle import Vehicle
 
-
-class FlightPhaseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thresholds. Thrust shares are of the hover thrust by the airframe's mass."""
-
-    height_m: float = 0.7  # above where it was armed
-    thrust_share: float = 0.7
-    sure_after_s: float = 0.5  # with height and thrust
-    assumed_after_s: float = 2.0  # with thrust alone (no height, or a restart in flight)
-    ended_share: float = 0.3
-    ended_after_s: float = 0.5
-    impact_share: float = 1.3  # specific force over what the motors can give, beyond which something was hit
-    impact_m_s2: float = 10.0  # and this much more
-    impact_samples: int = 3  # in a row: one may be a shock, or noise
-    impact_below_m: float = 3.0  # above the ground: higher up there is nothing to stand on
+FlightPhaseOptions = FlightPhaseTuning
 
 
 class FlightPhase:
     """Small state machine over samples."""
 
-    def __init__(self, vehicle: Vehicle, options: FlightPhaseOptions) -> None:
+    def __init__(self, vehicle: Vehicle, options: FlightPhaseTuning = DEFAULT.flight_phase) -> None:
         self._options, self._hover = options, vehicle.hover
         full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
         self._impact_m_s2 = options.impact_share * full + options.impact_m_s2

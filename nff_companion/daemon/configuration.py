@@ -16,7 +16,7 @@ from nff_companion.core.estimator import EstimatorOptions
 from nff_companion.core.flight_phase import FlightPhaseOptions
 from nff_companion.core.toml_file import Name, Text
 from nff_companion.core.tuning import Tuning, check
-from nff_companion.core.tuning.span import shown, span
+from nff_companion.core.tuning.span import about, shown, span
 from nff_companion.core.vehicle import THRUST_TO_WEIGHT
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.endpoint import parse
@@ -41,14 +41,19 @@ _MOVED = {
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[link]``."""
 
-    endpoint: Name
-    more_endpoints: list[Name] = []
-    autopilot: Literal["auto", "nff", "ardupilot", "px4"] = "auto"
+    endpoint: Annotated[
+        Name, about("", "udpin:host:port, udpout:host:port, tcp:host:port, tcpin:host:port or /dev/tty:baud[,baud]")
+    ]
+    more_endpoints: Annotated[list[Name], about("", "others that are served, a ground station's for instance")] = []
+    autopilot: Annotated[
+        Literal["auto", "nff", "ardupilot", "px4"],
+        about("", "nff is this project's own dialect; auto: as it says itself"),
+    ] = "auto"
     system: Annotated[int, span(0, 255, "", "system id of the autopilot; 0: the first one heard")] = 0
-    px4_method: Literal["scale", "inject"] = "scale"
-    rate_hz: Annotated[float, span(25, 1000, "Hz", "telemetry that is asked for, and the estimator is built for")] = (
-        200.0
-    )
+    px4_method: Annotated[Literal["scale", "inject"], about("", "how PX4 is told of a matrix: docs/px4.md")] = "scale"
+    rate_hz: Annotated[
+        float, span(25, 1000, "Hz", "telemetry that is asked for, and that the estimator is built for")
+    ] = 200.0
     stream_timeout_s: Annotated[float, span(0.02, 2.0, "s", "without samples for so long: observe")] = 0.25
     component: Annotated[int, span(191, 194, "", "MAVLink component id")] = 191
 
@@ -56,8 +61,11 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[vehicle]``."""
 
-    airframe: Name
-    network: Name = "airframe"  # basis: what the airframe file names; none; a shipped name or a path to an .npz file
+    airframe: Annotated[Name, about("", "a shipped name, or a path to a .toml file")]
+    network: Annotated[
+        Name,
+        about("", "basis of Neural-Fly: airframe, what the airframe file names; none; a shipped name or an .npz file"),
+    ] = "airframe"
     thrust_to_weight: (
         Annotated[float, span(*THRUST_TO_WEIGHT, "", "replaces the maximum thrust of the airframe file")] | None
     ) = None
@@ -66,11 +74,18 @@ class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[companion]``."""
 
-    mode: ModeName = "observe"  # first flights observe: acting is asked for by name
-    allocation: Literal["pinv", "mca", "kim", "printed", "trim"] = "trim"
-    law: Literal["baseline", "nf", "b", "eff", "nff"] = "nff"
-    status_socket: Text = ""
-    state_folder: Text = ""
+    mode: Annotated[
+        ModeName, about("", "first flights observe; declarations and matrices, or motor outputs, are asked for by name")
+    ] = "observe"
+    allocation: Annotated[
+        Literal["pinv", "mca", "kim", "printed", "trim"], about("", "method of allocation; trim is the one that flies")
+    ] = "trim"
+    law: Annotated[
+        Literal["baseline", "nf", "b", "eff", "nff"],
+        about("", "for research: eff without learning; baseline, nf and b watch no motor"),
+    ] = "nff"
+    status_socket: Annotated[Text, about("", "where nff monitor asks; empty: in the runtime folder")] = ""
+    state_folder: Annotated[Text, about("", "journal of changed PX4 parameters; empty: the service's own")] = ""
 
 
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -16,6 +16,7 @@ import numpy as np
 from nff_companion.autopilots.base import Adapter, Stream
 from nff_companion.daemon.configuration import MODES, Config, default_status_socket
 from nff_companion.daemon.notify import Notifier
+from nff_companion.daemon.parameters import parameters
 from nff_companion.daemon.startup import endpoints, prepare
 from nff_companion.daemon.status_server import StatusServer
 from nff_companion.errors import NffError
@@ -59,7 +60,7 @@ class Daemon:
         self._streams = StreamMonitor()
         self._sync = TimeSync()
         self._text = PilotText()
-        self._parameters = ParameterServer(self.pipeline, config.link.component, self._set_mode, self._lift)
+        self._parameters = ParameterServer(parameters(self.pipeline, self._set_mode, self._lift), config.link.component)
         self.reporter = Reporter(self.vehicle, self.pipeline)
         self._next_heartbeat = self._next_watchdog = self._next_host = self._next_look = -np.inf
         if not has_fast_crc():

@@ -1,72 +1,61 @@
-"""Parameters of the companion by MAVLink's parameter protocol: a ground station sets mode and thresholds."""
+"""Parameters by MAVLink's parameter protocol: a ground station lists, reads and sets what it is given here."""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import msgspec
-
+from nff_companion.errors import ConfigError
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.mavlink.services.parameter_reader import name_of
-from nff_companion.pipeline import Mode, Pipeline
 
 _REAL = dialect.MAV_PARAM_TYPE_REAL32
+_NAME_MAX = 16
 
 
 @dataclass(frozen=True)
-class _Parameter:
+class Parameter:
+    """One value within ``low``..``high``; ``set`` answers whether it was taken; ``whole``: whole numbers alone.
+
+    Raises ConfigError for a name that the wire does not carry.
+    """
+
+    name: str
     low: float
     high: float
     get: Callable[[], float]
-    set: Callable[[float], bool]  # False: refused now
+    set: Callable[[float], bool]
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        if not (1 <= len(self.name) <= _NAME_MAX and self.name.isascii() and self.name.isprintable()):
+            raise ConfigError(f"parameter {self.name!r}: 1 to {_NAME_MAX} ASCII characters are allowed")
+
+    def take(self, value: float) -> bool:
+        """Set ``value`` as it came from the wire, where a bound like 0.99 is another number; False: refused."""
+        if not math.isfinite(value) or not _as_sent(self.low) <= value <= _as_sent(self.high):
+            return False
+        if self.whole and value != round(value):
+            return False
+        return self.set(min(max(value, self.low), self.high))
 
 
 class ParameterServer:
     """Values are those in use; a refused change is answered with the value that stays."""
 
-    def __init__(
-        self, pipeline: Pipeline, component: int, set_mode: Callable[[Mode], None], lift: Callable[[int], None]
-    ) -> None:
-        self._pipeline, self._component = pipeline, component
-        self._set_mode, self._lift_motor = set_mode, lift
-        self._system = 1
-        self._table = {
-            "NFF_MODE": _Parameter(0, 2, lambda: float(pipeline.mode), self._mode),
-            "NFF_LIFT": _Parameter(0, pipeline.vehicle.motors, lambda: 0.0, self._lift),
-            "NFF_IMPROVEMENT": self._threshold("improvement_min", 8.0, 200.0),
-            "NFF_MARGIN": self._threshold("margin_min", 2.0, 100.0),
-            "NFF_EXPLAINED": self._threshold("explained_min", 0.5, 0.99),
-            "NFF_LOSS_SUDDEN": self._threshold("loss_sudden", 0.3, 0.95),
-            "NFF_LOSS_SLOW": self._threshold("loss_gradual", 0.3, 0.95),
-            "NFF_FAILED_MAX": self._threshold("failed_max", 1, pipeline.vehicle.motors // 2, whole=True),
-        }
+    def __init__(self, parameters: list[Parameter], component: int) -> None:
+        """``component``: our MAVLink component id. Raises ConfigError when two parameters have one name."""
+        self._table = {parameter.name: parameter for parameter in parameters}
+        if len(self._table) != len(parameters):
+            raise ConfigError("two parameters have the same name: " + ", ".join(p.name for p in parameters))
+        self._component, self._system = component, 1
         self.refused = 0
 
     def adopt(self, system: int) -> None:
         """Answer for this system."""
         self._system = system
-
-    def _mode(self, value: float) -> bool:
-        self._set_mode(Mode(int(value)))
-        return True
-
-    def _lift(self, value: float) -> bool:
-        if value >= 1:
-            self._lift_motor(int(value))
-        return True
-
-    def _threshold(self, name: str, low: float, high: float, *, whole: bool = False) -> _Parameter:
-        def get() -> float:
-            return float(getattr(self._pipeline.options.estimator.decision, name))
-
-        def change(value: float) -> bool:
-            options = self._pipeline.options.estimator
-            decision = msgspec.structs.replace(options.decision, **{name: int(value) if whole else value})
-            return self._pipeline.retune(msgspec.structs.replace(options, decision=decision))
-
-        return _Parameter(low, high, get, change)
 
     def value(self, name: str) -> Message:
         """PARAM_VALUE of one parameter."""
@@ -95,7 +84,11 @@ class ParameterServer:
         return []
 
     def _change(self, name: str, value: float) -> Message:
-        parameter = self._table[name]
-        if not math.isfinite(value) or not parameter.low <= value <= parameter.high or not parameter.set(value):
+        if not self._table[name].take(value):
             self.refused += 1
         return self.value(name)
+
+
+def _as_sent(value: float) -> float:
+    """The nearest number that the wire carries."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
