@@ -55,7 +55,7 @@ class Companion:
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
         self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target)
-        self._loop = OverrideLoop(vehicle)
+        self._loop = OverrideLoop(vehicle, o.law, o.override)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
         self._nothing = Knowledge.none(vehicle.axes)

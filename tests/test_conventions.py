@@ -21,13 +21,13 @@ from nff_companion.core.tuning import Tuning
 from nff_companion.daemon.configuration import load
 from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.service import Daemon
-from nff_companion.errors import EndpointError
+from nff_companion.errors import ConfigError, EndpointError
 from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.mavlink.endpoint import parse
 from nff_companion.mavlink.hub import Hub
 from nff_companion.mavlink.services import host_status as host
 from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode, name_of
-from nff_companion.mavlink.services.parameter_server import ParameterServer
+from nff_companion.mavlink.services.parameter_server import Parameter, ParameterServer
 from nff_companion.mavlink.services.pilot_text import PilotText
 from nff_companion.mavlink.services.streams import Stream, StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
@@ -312,6 +312,35 @@ def test_a_ground_station_lists_reads_and_sets(server: ParameterServer, chosen: 
     chosen.flying = True
     (value,) = put(server, "NFF_MARGIN", 12.0)
     assert value.param_value == 9.0, "in flight the answer is the value that stays"
+
+
+def test_a_bound_may_be_set_although_the_wire_rounds_it(server: ParameterServer, chosen: Settings) -> None:
+    (answer,) = put(server, "NFF_EXPLAINED", 0.99)
+    assert answer.param_value == pytest.approx(0.99)
+    assert chosen.tuning.decision.explained_min == 0.99
+    assert server.refused == 0
+
+
+@pytest.mark.parametrize(("name", "value"), [("NFF_LOSS_SLOW", 0.3), ("NFF_FAILED_MAX", 2.5), ("NFF_MODE", 0.5)])
+def test_a_threshold_at_odds_with_another_or_not_whole_is_answered_with_the_one_that_stays(
+    server: ParameterServer, name: str, value: float
+) -> None:
+    (before,) = ask(server, dialect.MAVLink_param_request_read_message(1, 191, name.encode(), -1))
+    (answer,) = put(server, name, value)
+    assert answer.param_value == before.param_value
+    assert server.refused == 1
+
+
+@pytest.mark.parametrize("name", ["", "SEVENTEEN_LETTERS", "UMLÄUT", "A\0B"])
+def test_a_parameter_that_the_wire_does_not_carry_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="16 ASCII"):
+        Parameter(name, 0.0, 1.0, lambda: 0.0, lambda _: True)
+
+
+def test_two_parameters_of_one_name_are_refused() -> None:
+    one = Parameter("SAME", 0.0, 1.0, lambda: 0.0, lambda _: True)
+    with pytest.raises(ConfigError, match="SAME"):
+        ParameterServer([one, one], 191)
 
 
 def test_what_is_out_of_range_not_a_number_or_not_for_us_changes_nothing(

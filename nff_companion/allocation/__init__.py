@@ -13,6 +13,7 @@ import numpy as np
 from nff_companion.allocation import kim, mca, pinv, printed, trim_consistent
 from nff_companion.allocation.linear_program import LinearSolver
 from nff_companion.allocation.problem import Problem, authority, problem_for
+from nff_companion.core.tuning import DEFAULT, PlannerTuning
 from nff_companion.errors import ConfigError
 
 __all__ = ["METHODS", "Allocator", "Problem", "allocator", "authority", "problem_for"]
@@ -21,7 +22,7 @@ Allocator = Callable[[Problem], np.ndarray]
 METHODS = ("pinv", "mca", "kim", "printed", "trim")
 
 
-def allocator(method: str) -> Allocator:
+def allocator(method: str, tuning: PlannerTuning = DEFAULT.planner) -> Allocator:
     """The function that turns a Problem into A (m, n). Raises ConfigError for an unknown method."""
     solver = LinearSolver()
     functions: dict[str, Allocator] = {
@@ -29,7 +30,7 @@ def allocator(method: str) -> Allocator:
         "mca": mca.solve,
         "kim": kim.solve,
         "printed": lambda problem: printed.solve(problem, solver),
-        "trim": lambda problem: trim_consistent.solve(problem, solver),
+        "trim": lambda problem: trim_consistent.solve(problem, solver, tuning.axis_authority_min),
     }
     if method not in functions:
         raise ConfigError(f"allocation method {method!r} is unknown: choose one of {', '.join(METHODS)}")

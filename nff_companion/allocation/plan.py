@@ -10,14 +10,9 @@ import numpy as np
 from nff_companion.allocation import Allocator, authority, problem_for
 from nff_companion.allocation.lift import balanced_thrust
 from nff_companion.allocation.verify import fault_of
+from nff_companion.core.tuning import DEFAULT, PlannerTuning
 from nff_companion.core.vehicle import YAW
 from nff_companion.errors import AllocationInfeasible, SolverError
-
-# Below this share of full torque left for roll or pitch at hover, yaw is given up for them; while the vehicle is
-# still being caught after a failure, already from the larger one.
-ATTITUDE_AUTHORITY_MIN = 0.05
-CATCH_AUTHORITY_MIN = 0.15
-_AUTHORITY_FLOOR = 0.01  # below this nothing is left to fly with, yaw given up or not
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,20 +41,26 @@ class Refusal:
 
 
 def make_plan(
-    allocate: Allocator, nominal: np.ndarray, effectiveness: np.ndarray, hover: float, *, catching: bool = False
+    allocate: Allocator,
+    nominal: np.ndarray,
+    effectiveness: np.ndarray,
+    hover: float,
+    *,
+    catching: bool = False,
+    tuning: PlannerTuning = DEFAULT.planner,
 ) -> Plan | Refusal:
     """Matrix for motor ``effectiveness`` (m,): all axes when roll and pitch keep authority, else without yaw."""
     reason = ""
-    enough = CATCH_AUTHORITY_MIN if catching else ATTITUDE_AUTHORITY_MIN
+    enough = tuning.catch_authority_min if catching else tuning.attitude_authority_min
     spare: Plan | None = None
     for released in ((), (YAW,)):
         try:
-            problem = problem_for(nominal, effectiveness, hover, released)
+            problem = problem_for(nominal, effectiveness, hover, released, tuning.removed_below)
             matrix = allocate(problem)
         except (AllocationInfeasible, SolverError, np.linalg.LinAlgError) as error:
             reason = str(error)
             continue
-        reason = fault_of(matrix, problem) or ""
+        reason = fault_of(matrix, problem, tuning) or ""
         if reason:
             continue
         left = authority(matrix, hover)
@@ -74,9 +75,9 @@ def make_plan(
             authority=left,
             unallocated=demand - given,
         )
-        if least >= (_AUTHORITY_FLOOR if released else enough):
+        if least >= (tuning.authority_floor if released else enough):
             return plan
-        if least >= ATTITUDE_AUTHORITY_MIN:
+        if least >= tuning.attitude_authority_min:
             spare = plan  # good enough should giving up yaw not work
         reason = f"roll/pitch authority at hover only {least:.2f}"
     return spare or Refusal(reason=reason, lift=balanced_thrust(nominal, effectiveness) >= hover)

@@ -47,7 +47,8 @@ class Planner:
     ) -> None:
         self._vehicle, self._allocate, self._tuning = vehicle, allocate, tuning or PlannerTuning()
         self._given_target = target
-        healthy = make_plan(allocate, vehicle.effectiveness, np.ones(vehicle.motors), vehicle.hover)
+        whole = np.ones(vehicle.motors)
+        healthy = make_plan(allocate, vehicle.effectiveness, whole, vehicle.hover, tuning=self._tuning)
         self.healthy = healthy if isinstance(healthy, Plan) else None
 
     def start(self) -> PlannerState:
@@ -103,8 +104,8 @@ class Planner:
         """With the matrix for ``target`` (m,), or the reason that there is none."""
         if (target == 1.0).all():
             return replace(state, plan=None, refusal=None)
-        vehicle = self._vehicle
-        plan = make_plan(self._allocate, vehicle.effectiveness, target, vehicle.hover, catching=state.catching)
+        nominal, hover = self._vehicle.effectiveness, self._vehicle.hover
+        plan = make_plan(self._allocate, nominal, target, hover, catching=state.catching, tuning=self._tuning)
         if isinstance(plan, Plan):
             return replace(state, plan=plan, refusal=None, untouched=False)
         kept = state.plan

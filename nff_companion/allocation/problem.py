@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nff_companion.core.tuning import DEFAULT
 from nff_companion.errors import AllocationInfeasible
-
-REMOVED_BELOW = 0.1  # effectiveness at which a motor's column is removed instead of scaled (gains would explode)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,14 +40,19 @@ class Problem:
 
 
 def problem_for(
-    nominal: np.ndarray, effectiveness: np.ndarray, hover: float, released: tuple[int, ...] = ()
+    nominal: np.ndarray,
+    effectiveness: np.ndarray,
+    hover: float,
+    released: tuple[int, ...] = (),
+    removed_below: float = DEFAULT.planner.removed_below,
 ) -> Problem:
-    """Problem for ``nominal`` B0 (n, m) and motor effectiveness (m,) in 0..1, giving up the axes ``released``.
+    """Problem for ``nominal`` B0 (n, m) and motor effectiveness (m,) in 0..1, giving up the axes ``released``; columns
+    of motors with less than ``removed_below`` are removed.
 
     Raises AllocationInfeasible when the motors left do not span the kept axes.
     """
     eta = np.asarray(effectiveness, float)
-    active = eta >= REMOVED_BELOW
+    active = eta >= removed_below
     kept = np.ones(nominal.shape[0], bool)
     kept[list(released)] = False
     problem = Problem(effectiveness=nominal * np.where(active, eta, 0.0), hover=hover, active=active, kept=kept)

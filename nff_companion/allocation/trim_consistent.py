@@ -11,9 +11,8 @@ import numpy as np
 
 from nff_companion.allocation.linear_program import LinearSolver, Program, nearest_optimal
 from nff_companion.allocation.problem import Problem
+from nff_companion.core.tuning import DEFAULT
 from nff_companion.errors import AllocationInfeasible
-
-_AUTHORITY_MIN = 1e-3
 
 
 def _program(b: np.ndarray, hover: float) -> Program:
@@ -54,8 +53,11 @@ def _program(b: np.ndarray, hover: float) -> Program:
     )
 
 
-def solve(problem: Problem, solver: LinearSolver) -> np.ndarray:
-    """A (m, n). Raises AllocationInfeasible when an axis has no authority at hover, SolverError."""
+def solve(
+    problem: Problem, solver: LinearSolver, authority_min: float = DEFAULT.planner.axis_authority_min
+) -> np.ndarray:
+    """A (m, n). Raises AllocationInfeasible when an axis has less than ``authority_min`` of its torque left at hover,
+    SolverError."""
     b, hover = problem.reduced, problem.hover
     axes, motors = b.shape
     program = _program(b, hover)
@@ -66,9 +68,9 @@ def solve(problem: Problem, solver: LinearSolver) -> np.ndarray:
     reference[motors : motors * axes] = 0.0
     x = nearest_optimal(program, optimum, reference)
     torque = x[motors * axes : motors * axes + axes - 1]
-    if torque.min() < _AUTHORITY_MIN:
+    if torque.min() < authority_min:
         raise AllocationInfeasible(
-            f"no torque left on {int((torque < _AUTHORITY_MIN).sum())} of the axes at hover: give up yaw, or land"
+            f"no torque left on {int((torque < authority_min).sum())} of the axes at hover: give up yaw, or land"
         )
     columns = x[motors : motors * axes].reshape(axes - 1, motors)
     matrix = np.column_stack([x[:motors] / hover, (columns / torque[:, None]).T])

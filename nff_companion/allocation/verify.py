@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from nff_companion.allocation.problem import Problem
-
-IDENTITY_TOLERANCE = 1e-6
-GAIN_MAX = 6.0  # largest entry allowed; 1 is the healthy octorotor's, an octorotor with two dead stays below 3
+from nff_companion.core.tuning import DEFAULT, PlannerTuning
 
 
-def fault_of(matrix: np.ndarray, problem: Problem) -> str | None:
+def fault_of(matrix: np.ndarray, problem: Problem, tuning: PlannerTuning = DEFAULT.planner) -> str | None:
     """What is wrong with A (m, n) for ``problem``; None when it may be used.
 
     Checks: shape, finite, B A = I on the axes kept, gain bound, removed motors idle, hover within 0..1.
@@ -21,11 +19,11 @@ def fault_of(matrix: np.ndarray, problem: Problem) -> str | None:
     if not np.isfinite(matrix).all():
         return "entries are not finite"
     largest = float(np.abs(matrix).max())
-    if largest > GAIN_MAX:
-        return f"gain {largest:.1f} exceeds {GAIN_MAX}"
+    if largest > tuning.gain_max:
+        return f"gain {largest:.1f} exceeds {tuning.gain_max}"
     kept = problem.kept
     error = float(np.abs((problem.effectiveness @ matrix)[np.ix_(kept, kept)] - np.eye(int(kept.sum()))).max())
-    if error > IDENTITY_TOLERANCE:
+    if error > tuning.identity_tolerance:
         return f"B A differs from I by {error:.1e}"
     if np.any(matrix[~problem.active] != 0.0):
         return "a removed motor is driven"

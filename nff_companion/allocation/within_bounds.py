@@ -16,13 +16,12 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from nff_companion.core.vehicle import PITCH, ROLL, THRUST, YAW
-
-_PRIORITY = {THRUST: 0.2, ROLL: 1.0, PITCH: 1.0, YAW: 0.03}  # errors of normalised demand
-_CLOSE_TO_A = 1e-5  # eps: decides among the u that serve equally well
+from nff_companion.core.tuning import DEFAULT, OverrideTuning
 
 
-def constrain(matrix: np.ndarray, effectiveness: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def constrain(
+    matrix: np.ndarray, effectiveness: np.ndarray, demand: np.ndarray, tuning: OverrideTuning = DEFAULT.override
+) -> tuple[np.ndarray, np.ndarray]:
     """Thrusts u (m,) for ``demand`` (n,), and the demand that they serve.
 
     ``matrix`` A (m, n), ``effectiveness`` B (n, m) that A is a right inverse of; motors with a zero column are not
@@ -33,11 +32,11 @@ def constrain(matrix: np.ndarray, effectiveness: np.ndarray, demand: np.ndarray)
         return out, demand
     used = effectiveness.any(axis=0)
     wanted = matrix.any(axis=0)
-    omega = np.array([_PRIORITY[axis] for axis in range(len(demand))]) * wanted
+    omega = np.array(tuning.priority) * wanted
     scaled = effectiveness[:, used] * omega[:, None]
     count = int(used.sum())
-    hessian = scaled.T @ scaled + _CLOSE_TO_A * np.eye(count)
-    linear = -scaled.T @ (omega * demand) - _CLOSE_TO_A * out[used]
+    hessian = scaled.T @ scaled + tuning.close_to_matrix * np.eye(count)
+    linear = -scaled.T @ (omega * demand) - tuning.close_to_matrix * out[used]
     part, _, flag, _ = daqp.solve(hessian, linear, np.zeros((0, count)), np.ones(count), np.zeros(count))
     # Should the program ever fail, what A asks for is cut: worse, but within bounds.
     clipped = np.minimum(np.maximum(out, 0.0), 1.0)
@@ -54,7 +53,9 @@ def _room(value: np.ndarray, part: np.ndarray) -> float:
     return max(min(float((limit / size).min()), 1.0), 0.0)
 
 
-def desaturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def desaturate(
+    matrix: np.ndarray, demand: np.ndarray, tuning: OverrideTuning = DEFAULT.override
+) -> tuple[np.ndarray, np.ndarray]:
     """Motor thrusts (m,) in 0..1 for ``demand`` (n,): yaw is cut first, then thrust moves, then roll and pitch.
 
     Returns the thrusts and the demand that was served.
@@ -76,6 +77,6 @@ def desaturate(matrix: np.ndarray, demand: np.ndarray) -> tuple[np.ndarray, np.n
     if out.max() > 1.0:
         served[0] -= (float(out.max()) - 1.0) / largest
     elif out.min() < 0.0:
-        served[0] += min(-float(out.min()) / largest, 0.3 * float(demand[0]))
+        served[0] += min(-float(out.min()) / largest, tuning.thrust_raise_max * float(demand[0]))
     out = collective * served[0] + attitude + matrix[:, 3] * served[3]
     return np.minimum(np.maximum(out, 0.0), 1.0), served

@@ -13,25 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nff_companion.core.filters import lag_share
+from nff_companion.core.tuning import DEFAULT, LawTuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
-
-_TILT_MAX_RAD = math.radians(30.0)
-_POSITION_ERROR_MAX_M = 4.0
-_VERTICAL_MAX_M_S2 = 4.0
-_DRAG_MAX_M_S2 = 5.0  # along each axis: more is no air, but a blow or a fault of the sensor
-_INTEGRAL_PER_S = 0.35
-_INTEGRAL_MAX_M_S2 = 3.0
-_TORQUE_INTEGRAL_PER_S = 1.5  # of the attitude loop's stiffness: about that of the autopilots' rate loops
-_LEAD_SHARE = 0.9  # of the motors' lag, given back by the derivative of the gyro
-_LEAD_S = 0.0053  # smoothing of that derivative, 30 Hz
-_TURNING_S = 0.04  # smoothing of the rate at which the attitude wanted turns
-_TURNING_MAX_RAD_S = 2.0
-_TORQUE_INTEGRAL_MAX_RAD_S2 = 25.0
-_LINK_AND_FILTER_S = 0.03  # delays of the loop besides the motors' lag
-_YAW_SHARE = 0.5  # yaw is slower than roll and pitch
-_RATE_MAX_RAD_S, _YAW_RATE_MAX_RAD_S = 4.0, 1.0
-_MIN_THRUST_SHARE = 0.15  # of hover: the vehicle stays controllable while it falls
-
 
 Vector = tuple[float, float, float]
 Axes = tuple[Vector, Vector, Vector]
@@ -103,14 +86,14 @@ class Gains:
     lead_s: float
 
     @staticmethod
-    def of(vehicle: Vehicle) -> Gains:
+    def of(vehicle: Vehicle, tuning: LawTuning = DEFAULT.law) -> Gains:
         """Sensitivity of the attitude loop at most about 1.75 with the lag and 30 ms of delay; each outer loop slower
         than the one inside."""
         lag = vehicle.motor.time_constant_up_s
-        rate = 0.9 / (lag + _LINK_AND_FILTER_S)
-        attitude = rate / 2.4
-        velocity = attitude / 2.5
-        return Gains(velocity / 2.5, velocity, attitude, rate, _LEAD_SHARE * lag)
+        rate = tuning.rate_gain / (lag + tuning.link_and_filter_s)
+        attitude = rate / tuning.attitude_ratio
+        velocity = attitude / tuning.velocity_ratio
+        return Gains(velocity / tuning.position_ratio, velocity, attitude, rate, tuning.lead_share * lag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,22 +150,28 @@ def attitude_error(body: Axes, desired: Axes) -> Vector:
     )
 
 
-def steady_push(quaternion: np.ndarray, specific_force_m_s2: np.ndarray) -> np.ndarray:
-    """Horizontal push of the thrust now (3,) m/s^2 NED: in a steady hover what the wind asks for.
+def steady_push(
+    quaternion: np.ndarray,
+    specific_force_m_s2: np.ndarray,
+    most_m_s2: float = DEFAULT.law.integral_max_m_s2,
+) -> np.ndarray:
+    """Horizontal push of the thrust now (3,) m/s^2 NED, at most ``most_m_s2``: in a steady hover, what the
+    wind asks for.
 
     The integral begins with it, so that taking over does not let the vehicle drift off first.
     """
     down = _axes(quaternion)[2]
     force = float(specific_force_m_s2[2])
-    return np.array([_clip(down[0] * force, _INTEGRAL_MAX_M_S2), _clip(down[1] * force, _INTEGRAL_MAX_M_S2), 0.0])
+    return np.array([_clip(down[0] * force, most_m_s2), _clip(down[1] * force, most_m_s2), 0.0])
 
 
 class ControlLaw:
     """Constants of one airframe; ``demand`` takes and returns its memory."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
-        self.gains = Gains.of(vehicle)
+    def __init__(self, vehicle: Vehicle, tuning: LawTuning = DEFAULT.law) -> None:
+        self._vehicle, self._tuning = vehicle, tuning
+        self.gains = Gains.of(vehicle, tuning)
+        self._turn_shares = np.array([1.0, 1.0, tuning.yaw_share])
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._scale = 1.0 / vehicle.row_scale
 
@@ -190,19 +179,20 @@ class ControlLaw:
         """Memory to begin with; where the drag is fed forward, it is not counted twice."""
         if knowledge.push_m_s2.any():
             return Memory.empty()
-        return Memory(steady_push(quaternion, specific_force_m_s2), np.zeros(3))
+        return Memory(steady_push(quaternion, specific_force_m_s2, self._tuning.integral_max_m_s2), np.zeros(3))
 
     def demand(
         self, state: State, reference: Reference, memory: Memory, knowledge: Knowledge, dt_s: float
     ) -> tuple[np.ndarray, Memory]:
         """Demand (n,) in normalised units, and the new memory."""
+        tuning = self._tuning
         body = _axes(state.quaternion)
         push, gathered = self._push(state, reference, memory.push_m_s2, dt_s)
-        dx, dy = [_clip(value, _DRAG_MAX_M_S2) for value in knowledge.push_m_s2.tolist()]
+        dx, dy = [_clip(value, tuning.drag_max_m_s2) for value in knowledge.push_m_s2.tolist()]
         drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
-        push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]))
+        push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]), tuning)
         # The floor is on what the motors give, after phi a is taken off: nobody asks a motor for less than nothing.
-        specific = max(-_dot(push, body[2]) - float(knowledge.residual[0]), _MIN_THRUST_SHARE * GRAVITY_M_S2)
+        specific = max(-_dot(push, body[2]) - float(knowledge.residual[0]), tuning.min_thrust_share * GRAVITY_M_S2)
 
         down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
         heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)
@@ -228,57 +218,56 @@ class ControlLaw:
         dt_s: float,
     ) -> tuple[list[float], np.ndarray, Vector]:
         """Angular acceleration asked for, the integral (3,) of the attitude loop, and that of the gyro."""
-        g = self.gains
-        share = lag_share(dt_s, _LEAD_S)
+        g, t = self.gains, self._tuning
+        share = lag_share(dt_s, t.lead_s)
         before = memory.rate_rad_s or (w[0], w[1], w[2])
         old = memory.acceleration_rad_s2
         acceleration = [old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3)]
         integral, known = memory.turn_rad_s2.tolist(), knowledge.residual.tolist()
         out = []
         for k in range(3):
-            slow, most = (_YAW_SHARE, _YAW_RATE_MAX_RAD_S) if k == 2 else (1.0, _RATE_MAX_RAD_S)
+            slow, most = (t.yaw_share, t.yaw_rate_max_rad_s) if k == 2 else (1.0, t.rate_max_rad_s)
             rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
             back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
             out.append(slow * (back + integral[k]) - known[k + 1])
-            step = dt_s * _TORQUE_INTEGRAL_PER_S * g.rate * g.attitude * axis[k] * slow
-            integral[k] = _clip(integral[k] + step, _TORQUE_INTEGRAL_MAX_RAD_S2)
+            step = dt_s * t.torque_integral_per_s * g.rate * g.attitude * axis[k] * slow
+            integral[k] = _clip(integral[k] + step, t.torque_integral_max_rad_s2)
         return out, np.array(integral), (acceleration[0], acceleration[1], acceleration[2])
 
-    @staticmethod
-    def _turning(memory: Memory, desired: Axes, dt_s: float) -> Vector:
+    def _turning(self, memory: Memory, desired: Axes, dt_s: float) -> Vector:
         """Rate (3,) rad/s, body, at which the attitude wanted turns, smoothed."""
         if memory.desired is None:
             return 0.0, 0.0, 0.0
         step = attitude_error(memory.desired, desired)
-        share, old = lag_share(dt_s, _TURNING_S), memory.turning_rad_s
-        new = [old[k] + share * (_clip(step[k] / dt_s, _TURNING_MAX_RAD_S) - old[k]) for k in range(3)]
+        share, old = lag_share(dt_s, self._tuning.turning_s), memory.turning_rad_s
+        new = [old[k] + share * (_clip(step[k] / dt_s, self._tuning.turning_max_rad_s) - old[k]) for k in range(3)]
         return new[0], new[1], new[2]
 
     def _push(self, state: State, reference: Reference, integral: np.ndarray, dt_s: float) -> tuple[Vector, np.ndarray]:
         """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
-        g = self.gains
+        g, t = self.gains, self._tuning
         error: list[float] = (reference.position_m - state.position_m).tolist()
         size = math.sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2])
-        if size > _POSITION_ERROR_MAX_M:
-            error = [e * (_POSITION_ERROR_MAX_M / size) for e in error]
+        if size > t.position_error_max_m:
+            error = [e * (t.position_error_max_m / size) for e in error]
         before: list[float] = integral.tolist()
         slower: list[float] = (reference.velocity_m_s - state.velocity_m_s).tolist()
         north, east, down = (
             g.velocity * (g.position * e + v) + i + a
             for e, v, i, a in zip(error, slower, before, reference.acceleration_m_s2.tolist(), strict=True)
         )
-        if size < _POSITION_ERROR_MAX_M:
-            step = dt_s * _INTEGRAL_PER_S * g.velocity * g.position
-            integral = np.array([_clip(i + step * e, _INTEGRAL_MAX_M_S2) for i, e in zip(before, error, strict=True)])
-        return (north, east, _clip(down, _VERTICAL_MAX_M_S2) - GRAVITY_M_S2), integral
+        if size < t.position_error_max_m:
+            step, most = dt_s * t.integral_per_s * g.velocity * g.position, t.integral_max_m_s2
+            integral = np.array([_clip(i + step * e, most) for i, e in zip(before, error, strict=True)])
+        return (north, east, _clip(down, t.vertical_max_m_s2) - GRAVITY_M_S2), integral
 
 
-def _within_tilt(push: Vector) -> Vector:
+def _within_tilt(push: Vector, tuning: LawTuning) -> Vector:
     """Specific force (3,) NED, upward whatever was asked for, its horizontal part cut to the largest tilt."""
     north, east, vertical = push
-    vertical = min(vertical, _VERTICAL_MAX_M_S2 - GRAVITY_M_S2)
+    vertical = min(vertical, tuning.vertical_max_m_s2 - GRAVITY_M_S2)
     lateral = math.hypot(north, east)
-    lateral_max = -vertical * math.tan(_TILT_MAX_RAD)
+    lateral_max = -vertical * math.tan(math.radians(tuning.tilt_max_deg))
     if lateral > lateral_max:
         north, east = north * lateral_max / lateral, east * lateral_max / lateral
     return north, east, vertical

@@ -11,9 +11,8 @@ from nff_companion.allocation.within_bounds import constrain, desaturate
 from nff_companion.condition import Reason, Statement
 from nff_companion.control.law import ControlLaw, Knowledge, Memory, Reference, State
 from nff_companion.core.sample import Sample
+from nff_companion.core.tuning import DEFAULT, LawTuning, OverrideTuning
 from nff_companion.core.vehicle import Vehicle
-
-_SERVED = 1e-6  # of an axis' torque: less than this missing is no saturation
 
 
 class OverrideState(msgspec.Struct, frozen=True, eq=False):
@@ -26,8 +25,10 @@ class OverrideState(msgspec.Struct, frozen=True, eq=False):
 class OverrideLoop:
     """Constants of one vehicle; ``answer`` takes and returns the state."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._law = ControlLaw(vehicle)
+    def __init__(
+        self, vehicle: Vehicle, law: LawTuning = DEFAULT.law, tuning: OverrideTuning = DEFAULT.override
+    ) -> None:
+        self._law, self._tuning = ControlLaw(vehicle, law), tuning
 
     def answer(
         self,
@@ -53,9 +54,12 @@ class OverrideLoop:
         reference, hold = _followed(sample, hold)
         now = State(position, velocity, q, sample.gyro_rad_s)
         demand, after = self._law.demand(now, reference, memory, knowledge, dt_s)
-        thrust, served = desaturate(matrix, demand) if left is None else constrain(matrix, left, demand)
+        if left is None:
+            thrust, served = desaturate(matrix, demand, self._tuning)
+        else:
+            thrust, served = constrain(matrix, left, demand, self._tuning)
         if served is not demand:
-            after = after.held_back(memory, np.abs(served - demand)[1:] > _SERVED)
+            after = after.held_back(memory, np.abs(served - demand)[1:] > self._tuning.served_error)
         if not math.isfinite(sum(thrust.tolist())):
             return OverrideState(hold, memory), Statement(Reason.OUTPUTS_NOT_FINITE)
         return OverrideState(hold, after), thrust

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
@@ -18,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from nff_companion.core.features import COMMAND, NAMES
+from nff_companion.core import network_file
+from nff_companion.core.features import COMMAND
 from nff_companion.core.tuning import NetworkTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
 
-FORMAT = 1
+FORMAT = network_file.FORMAT
 
 
 @dataclass(frozen=True)
@@ -136,50 +136,20 @@ class Basis:
 
 
 def load(path: Path) -> Basis:
-    """Read a network. Raises NetworkError when the file is unreadable, inconsistent or not finite."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        metadata = json.loads(str(arrays.pop("metadata")))
-        numbers = {name: value.astype(float) for name, value in arrays.items()}
-        layers = sum(name.startswith("weight_") for name in numbers)
-        basis = Basis(
-            weights=tuple(numbers[f"weight_{i}"] for i in range(layers)),
-            biases=tuple(numbers[f"bias_{i}"] for i in range(layers)),
-            metadata=metadata,
-            **{name: numbers[name] for name in ("mean", "scale", "low", "high", "axis_scale", "prior")},
-        )
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise NetworkError(f"network {path} cannot be read: {error}; train it again with nff train") from error
-    fault = _fault_of(basis, numbers)
-    if fault:
-        raise NetworkError(f"network {path}: {fault}; train it again with nff train")
-    return basis
-
-
-def _fault_of(basis: Basis, numbers: dict[str, np.ndarray]) -> str | None:
-    metadata = basis.metadata
-    if not isinstance(metadata, dict):
-        return "its metadata are not a table"
-    if metadata.get("format") != FORMAT:
-        return f"format {metadata.get('format')!r}, expected {FORMAT}"
-    if metadata.get("inputs") != list(NAMES):
-        return "its inputs are not those of this version"
-    width = [len(NAMES), *(len(bias) for bias in basis.biases)]
-    if not basis.weights or any(
-        w.shape != (b, a) for w, a, b in zip(basis.weights, width[:-1], width[1:], strict=True)
-    ):
-        return f"layers do not fit each other: {[w.shape for w in basis.weights]}"
-    if basis.prior.shape != (width[-1] + 1, len(basis.axis_scale)):
-        return f"prior of shape {basis.prior.shape} for {width[-1]} outputs and {len(basis.axis_scale)} axes"
-    for name in ("mean", "scale", "low", "high"):
-        if numbers[name].shape != (len(NAMES),):
-            return f"{name} of shape {numbers[name].shape}, expected {(len(NAMES),)}"
-    if not all(np.isfinite(value).all() for value in numbers.values()):
-        return "entries are not finite"
-    if (basis.scale <= 0.0).any() or (basis.axis_scale <= 0.0).any() or (basis.low > basis.high).any():
-        return "a scale is not positive, or a range is empty"
-    return None
+    """Read a network. Raises NetworkError naming file, array, value and what is allowed, for any file whatever."""
+    numbers, metadata = network_file.read(path)
+    layers = sum(name.startswith("weight_") for name in numbers)
+    return Basis(
+        weights=tuple(numbers[f"weight_{i}"] for i in range(layers)),
+        biases=tuple(numbers[f"bias_{i}"] for i in range(layers)),
+        metadata=metadata,
+        mean=numbers["mean"],
+        scale=numbers["scale"],
+        low=numbers["low"],
+        high=numbers["high"],
+        axis_scale=numbers["axis_scale"],
+        prior=numbers["prior"],
+    )
 
 
 def names() -> list[str]:

@@ -10,105 +10,49 @@ import math
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 
+from nff_companion.core import toml_file
+from nff_companion.core.airframe_file import (
+    GRAVITY_M_S2,
+    MOTORS_MAX,
+    AirframeFile,
+    LogTable,
+    TelemetryTable,
+    effectiveness_si,
+    fault_of,
+)
+from nff_companion.core.tuning.span import shown
 from nff_companion.errors import ConfigError
 
-GRAVITY_M_S2 = 9.80665
+__all__ = [
+    "AXES",
+    "GRAVITY_M_S2",
+    "MOTORS_MAX",
+    "PITCH",
+    "ROLL",
+    "THRUST",
+    "THRUST_TO_WEIGHT",
+    "YAW",
+    "LogTable",
+    "TelemetryTable",
+    "Vehicle",
+    "load",
+    "names",
+    "path_of",
+]
+
+THRUST_TO_WEIGHT = (1.06, 19.9)  # of vehicles that fly: hover between 0.05 and 0.95 of all thrust
 AXES = ("thrust", "roll", "pitch", "yaw")
-MOTORS_MAX = 12  # a matrix of 12 rows and 4 columns fills one message
 THRUST, ROLL, PITCH, YAW = range(4)
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
-
-
-class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[airframe]``."""
-
-    name: str
-    source: str
-    mass_kg: Positive
-    inertia_kg_m2: tuple[Positive, Positive, Positive]
-    network: str = ""  # basis network: a shipped name or a file beside this one; empty: a constant basis
-
-
-class MotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[motor]``, the same for all rotors. Inertia and speed of the rotor are the plant's alone."""
-
-    max_thrust_n: Positive
-    time_constant_up_s: NotNegative
-    time_constant_down_s: NotNegative
-    torque_per_thrust_m: NotNegative
-    rotor_inertia_kg_m2: NotNegative = 0.0
-    max_speed_rad_s: Positive = 1000.0
-
-
-class CommandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[command]``: from motor output to thrust."""
-
-    thrust_expo: Fraction
-    spin_min: Fraction
-    spin_max: Fraction
-    pwm_min: float
-    pwm_max: float
-
-
-class TelemetryTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[telemetry]``: low-pass filters of the autopilot on what it sends (second order; 0: none)."""
-
-    gyro_filter_hz: NotNegative
-    accelerometer_filter_hz: NotNegative
-
-
-class LogTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[log]``: where a ULog keeps the motor commands, when not in ``actuator_outputs``.
-
-    ``field`` has ``{}`` for the motor's index from 0; ``unit`` N: thrust; output: 0..1; pwm: microseconds.
-    """
-
-    topic: str
-    field: str
-    unit: Literal["N", "output", "pwm"] = "pwm"
-
-
-class RotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[rotor]]``: either angle (clockwise from the nose) and arm, or x forward and y right."""
-
-    spin: Literal["cw", "ccw"]
-    angle_deg: float | None = None
-    arm_m: Positive | None = None
-    x_m: float | None = None
-    y_m: float | None = None
-
-    def position_m(self) -> tuple[float, float]:
-        """(x, y). Raises ConfigError when neither form is complete."""
-        if self.angle_deg is not None and self.arm_m is not None:
-            angle = math.radians(self.angle_deg)
-            return self.arm_m * math.cos(angle), self.arm_m * math.sin(angle)
-        if self.x_m is not None and self.y_m is not None:
-            return self.x_m, self.y_m
-        raise ConfigError("a [[rotor]] needs angle_deg and arm_m, or x_m and y_m")
-
-
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    airframe: AirframeTable
-    motor: MotorTable
-    command: CommandTable
-    telemetry: TelemetryTable
-    rotor: list[RotorTable]
-    aerodynamics: dict[str, object] = {}
-    log: LogTable | None = None
 
 
 class Vehicle:
     """Immutable model of one airframe. n axes, m motors."""
 
-    def __init__(self, data: _File) -> None:
+    def __init__(self, data: AirframeFile) -> None:
         self.name = data.airframe.name
         self.network = data.airframe.network
         self.mass_kg = data.airframe.mass_kg
@@ -116,8 +60,6 @@ class Vehicle:
         self.motor, self.command, self.telemetry, self.log = data.motor, data.command, data.telemetry, data.log
         self.position_m = np.array([r.position_m() for r in data.rotor])  # (m, 2)
         self.spin = np.array([1.0 if r.spin == "ccw" else -1.0 for r in data.rotor])  # (m,) sign of the yaw torque
-        if not self.command.spin_max > self.command.spin_min:
-            raise ConfigError(f"{self.name}: command.spin_max must be above command.spin_min")
         for array in (self.inertia_kg_m2, self.position_m, self.spin):
             array.flags.writeable = False
 
@@ -133,11 +75,8 @@ class Vehicle:
 
     @cached_property
     def effectiveness_si(self) -> np.ndarray:
-        """B0 (n, m): N and N m for thrust fraction 1 of each motor. A rotor at (x, y) pushing up by F gives roll
-        torque -y F and pitch torque x F in FRD."""
-        x, y = self.position_m.T
-        rows = np.stack([np.ones_like(x), -y, x, self.motor.torque_per_thrust_m * self.spin])
-        return rows * self.motor.max_thrust_n
+        """B0 (n, m): N and N m for thrust fraction 1 of each motor."""
+        return effectiveness_si(self.position_m, self.spin, self.motor)
 
     @cached_property
     def acceleration_effectiveness(self) -> np.ndarray:
@@ -222,26 +161,28 @@ def path_of(name: str) -> Path:
     if name.endswith(".toml"):
         return Path(name)
     if name not in names():
-        raise ConfigError(f"airframe {name!r} is unknown: give a path to a .toml file or one of {', '.join(names())}")
+        raise ConfigError(
+            f"airframe {shown(name)} is unknown: give a path to a .toml file or one of {', '.join(names())}"
+        )
     return Path(str(resources.files("nff_companion") / "airframes" / f"{name}.toml"))
 
 
 def load(name: str, *, thrust_to_weight: float | None = None) -> Vehicle:
-    """Airframe by shipped name or path; ``thrust_to_weight`` replaces its maximum thrust. Raises ConfigError."""
+    """Airframe by shipped name or path; ``thrust_to_weight`` replaces its maximum thrust.
+
+    Raises ConfigError naming file, key, value and what is allowed, for any file whatever.
+    """
     path = path_of(name)
-    try:
-        data = msgspec.toml.decode(path.read_bytes(), type=_File)
-    except OSError as error:
-        raise ConfigError(f"airframe file {path} cannot be read: {error.strerror}") from error
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
-        raise ConfigError(f"airframe file {path}: {error}") from error
-    if not 3 <= len(data.rotor) <= MOTORS_MAX:
-        raise ConfigError(
-            f"airframe file {path} has {len(data.rotor)} rotors; between 3 and {MOTORS_MAX} can be handled"
-        )
+    data = toml_file.read(path, AirframeFile, "airframe file")
     if thrust_to_weight is not None:
-        thrust = thrust_to_weight * data.airframe.mass_kg * GRAVITY_M_S2 / len(data.rotor)
+        low, high = THRUST_TO_WEIGHT
+        if not low <= thrust_to_weight <= high:
+            raise ConfigError(f"thrust_to_weight = {shown(thrust_to_weight)}: from {low} to {high} is allowed")
+        thrust = thrust_to_weight * data.airframe.mass_kg * GRAVITY_M_S2 / max(len(data.rotor), 1)
         data = msgspec.structs.replace(data, motor=msgspec.structs.replace(data.motor, max_thrust_n=thrust))
+    fault = fault_of(data)
+    if fault is not None:
+        raise ConfigError(f"airframe file {path}: {fault}")
     if data.airframe.network.endswith(".npz"):  # beside the airframe file, unless absolute
         network = str(path.parent / data.airframe.network)
         data = msgspec.structs.replace(data, airframe=msgspec.structs.replace(data.airframe, network=network))

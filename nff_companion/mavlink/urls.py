@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from nff_companion.errors import ConfigError
 
+_BAUD_MIN = 300
 KINDS = ("udpin", "udpout", "tcp", "tcpin", "serial")
 
 
@@ -35,10 +36,10 @@ def parse(url: str) -> Url:
     text = url.strip()
     if text.startswith("/"):
         text = f"serial:{text}"
-    match = re.fullmatch(r"([a-z]+):(?://)?(.+):(\d+(?:,\d+)*)", text)
+    match = re.fullmatch(r"([a-z]+):(?://)?([^\x00-\x20]+):([0-9]{1,9}(?:,[0-9]{1,9})*)", text)
     if match is None:
         raise ConfigError(
-            f"endpoint {url!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}"
+            f"endpoint {url[:100]!r} is not of the form kind:host:port or /dev/tty:baud; kinds: {', '.join(KINDS)}"
         )
     kind, host = match.group(1), match.group(2)
     numbers = tuple(int(text) for text in match.group(3).split(","))
@@ -46,6 +47,8 @@ def parse(url: str) -> Url:
     if kind not in KINDS:
         raise ConfigError(f"endpoint {url!r}: kind {kind!r} is unknown; choose one of {', '.join(KINDS)}")
     if kind == "serial":
+        if min(numbers) < _BAUD_MIN:
+            raise ConfigError(f"endpoint {url!r}: {match.group(3)} is no baud rate of {_BAUD_MIN} or more")
         return Url(kind, host, numbers[0], numbers)
     if len(numbers) > 1 or not 0 < numbers[0] < 65536:
         raise ConfigError(f"endpoint {url!r}: {match.group(3)} is not one port between 1 and 65535")

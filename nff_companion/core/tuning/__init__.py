@@ -1,8 +1,8 @@
 """Every number that decides whether a vehicle is re-mixed in flight: one table, each with unit, range and reason.
 
-A configuration file sets them as ``[tuning.decision] explained_min = 0.8``; docs/tuning.md is made of this table by
-``python -m nff_companion.core.tuning``. Structs made in code (by trials) are not checked; ``check`` is for what comes
-from outside. Physical constants and guards of rounding stay where they are used.
+A configuration file sets them as ``[tuning.decision] explained_min = 0.8``; docs/tuning.md is made of it by
+``python -m nff_companion.daemon.document``. Structs made in code (by trials) are not checked; ``check`` is for what
+comes from outside. Physical constants and guards of rounding stay where they are used.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from nff_companion.core.tuning.relations import check_relations
 from nff_companion.core.tuning.span import check_fields
 
 __all__ = [
+    "DEFAULT",
     "AdaptationTuning",
     "CompanionTuning",
     "DecisionTuning",
@@ -74,6 +75,9 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """The same with some fields of one subject changed, unchecked: ``having("decision", explained_min=0.8)``."""
         changed = msgspec.structs.replace(getattr(self, subject), **changes)
         return msgspec.structs.replace(self, **{subject: changed})
+
+
+DEFAULT = Tuning()
 
 
 def check(tuning: Tuning) -> None:

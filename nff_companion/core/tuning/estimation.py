@@ -12,7 +12,7 @@ import msgspec
 
 from nff_companion.core.tuning.span import about, span
 
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.01, le=5.0)]  # never 0: it becomes a divisor
 PerAxis = tuple[Share, Share, Share, Share]  # thrust, roll, pitch, yaw
 
 

@@ -24,6 +24,15 @@ def about(unit: str, why: str) -> msgspec.Meta:
     return msgspec.Meta(description=why, extra={"unit": unit})
 
 
+def shown(value: Any, longest: int = 80) -> str:
+    """``value`` as a message may quote it: short, whatever it is."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a whole number of thousands of digits, or lists without end
+        text = f"a {type(value).__name__} beyond printing"
+    return text if len(text) <= longest else f"{text[:longest]}..."
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
     """One number, or one vector of numbers, of a struct: where it is and what is allowed."""
@@ -79,18 +88,19 @@ def _fields(struct: type[msgspec.Struct], above: tuple[str, ...]) -> Iterator[Fi
             yield from _fields(hint, path)
         else:
             default = None if entry.default is msgspec.NODEFAULT else entry.default
-            field = _field(hint, path, default)
+            field = field_of(hint, path, default)
             if field is not None:
                 yield field
 
 
-def _field(hint: Any, path: tuple[str, ...], default: Any) -> Field | None:
-    base, metas = _unwrapped(hint)
+def field_of(hint: Any, path: tuple[str, ...] = (), default: Any = None) -> Field | None:
+    """The number or vector of numbers that a type ``hint`` stands for; None when it is none, or has no range."""
+    base, metas = unwrapped(hint)
     length = None
     if get_origin(base) is tuple:
         elements = get_args(base)
         length = len(elements)
-        base, more = _unwrapped(elements[0])
+        base, more = unwrapped(elements[0])
         metas += more
     low = next((m.ge for m in metas if m.ge is not None), None)
     high = next((m.le for m in metas if m.le is not None), None)
@@ -101,16 +111,16 @@ def _field(hint: Any, path: tuple[str, ...], default: Any) -> Field | None:
     return Field(path, base, length, low, high, unit, why, default)
 
 
-def _unwrapped(hint: Any) -> tuple[Any, list[msgspec.Meta]]:
-    """Type without ``Annotated`` and ``| None``, and the metadata found on the way, outermost first."""
+def unwrapped(hint: Any) -> tuple[Any, list[msgspec.Meta]]:
+    """Type ``hint`` without ``Annotated`` and ``| None``, and the metadata found on the way, outermost first."""
     if get_origin(hint) is Annotated:
         base, *metas = get_args(hint)
-        inner, more = _unwrapped(base)
+        inner, more = unwrapped(base)
         return inner, [m for m in metas if isinstance(m, msgspec.Meta)] + more
     if get_origin(hint) in (Union, types.UnionType):
         some = [part for part in get_args(hint) if part is not type(None)]
         if len(some) == 1:
-            return _unwrapped(some[0])
+            return unwrapped(some[0])
     return hint, []
 
 
@@ -119,4 +129,4 @@ def check_fields(root: msgspec.Struct, name: str) -> None:
     for field in fields(type(root)):
         value = field.of(root)
         if not field.admits(value):
-            raise ConfigError(f"{name}.{field.key} = {value!r} is not allowed: give {field.allowed}")
+            raise ConfigError(f"{name}.{field.key} = {shown(value)} is not allowed: give {field.allowed}")

@@ -1,20 +1,26 @@
-"""Parameters of the companion by MAVLink's parameter protocol: a ground station sets mode and thresholds."""
+"""Parameters by MAVLink's parameter protocol: a ground station lists, reads and sets what it is given here."""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from nff_companion.errors import ConfigError
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.mavlink.services.parameter_reader import name_of
 
 _REAL = dialect.MAV_PARAM_TYPE_REAL32
+_NAME_MAX = 16
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One of them; ``set`` returns False when it refuses now."""
+    """One value within ``low``..``high``; ``set`` answers whether it was taken; ``whole``: whole numbers alone.
+
+    Raises ConfigError for a name that the wire does not carry.
+    """
 
     name: str
     low: float
@@ -23,14 +29,29 @@ class Parameter:
     set: Callable[[float], bool]
     whole: bool = False
 
+    def __post_init__(self) -> None:
+        if not (1 <= len(self.name) <= _NAME_MAX and self.name.isascii() and self.name.isprintable()):
+            raise ConfigError(f"parameter {self.name!r}: 1 to {_NAME_MAX} ASCII characters are allowed")
+
+    def take(self, value: float) -> bool:
+        """Set ``value`` as it came from the wire, where a bound like 0.99 is another number; False: refused."""
+        if not math.isfinite(value) or not _as_sent(self.low) <= value <= _as_sent(self.high):
+            return False
+        if self.whole and value != round(value):
+            return False
+        exact = {_as_sent(bound): bound for bound in (self.low, self.high)}
+        return self.set(exact.get(value, value))
+
 
 class ParameterServer:
     """Values are those in use; a refused change is answered with the value that stays."""
 
     def __init__(self, parameters: list[Parameter], component: int) -> None:
+        """``component``: our MAVLink component id. Raises ConfigError when two parameters have one name."""
         self._table = {parameter.name: parameter for parameter in parameters}
-        self._component = component
-        self._system = 1
+        if len(self._table) != len(parameters):
+            raise ConfigError("two parameters have the same name: " + ", ".join(p.name for p in parameters))
+        self._component, self._system = component, 1
         self.refused = 0
 
     def adopt(self, system: int) -> None:
@@ -64,8 +85,11 @@ class ParameterServer:
         return []
 
     def _change(self, name: str, value: float) -> Message:
-        p = self._table[name]
-        whole = int(value) if p.whole and math.isfinite(value) else value
-        if not math.isfinite(value) or not p.low <= value <= p.high or not p.set(whole):
+        if not self._table[name].take(value):
             self.refused += 1
         return self.value(name)
+
+
+def _as_sent(value: float) -> float:
+    """The nearest number that the wire carries."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nff_companion.allocation.verify import GAIN_MAX
 from nff_companion.core.estimator import Estimate
+from nff_companion.core.tuning import DEFAULT
 from nff_companion.core.vehicle import Vehicle
 from sitl.trials.research.full_matrix import FullMatrix, FullMatrixOptions, FullMatrixState
 
@@ -24,7 +24,7 @@ class AdaptedMatrix:
     """Constants of one vehicle, in normalised units."""
 
     def __init__(self, vehicle: Vehicle, options: FullMatrixOptions | None = None) -> None:
-        self._nominal = vehicle.effectiveness
+        self._nominal, self._gain_max = vehicle.effectiveness, DEFAULT.planner.gain_max
         self._unit = vehicle.normalised_per_acceleration
         self._adaptation = FullMatrix(vehicle.axes, vehicle.motors, options or FullMatrixOptions())
 
@@ -44,6 +44,6 @@ class AdaptedMatrix:
             inverse = np.linalg.pinv(matrix)
         except np.linalg.LinAlgError:
             inverse = np.full_like(fallback, np.nan)
-        if np.isfinite(inverse).all() and float(np.abs(inverse).max()) <= GAIN_MAX:
+        if np.isfinite(inverse).all() and float(np.abs(inverse).max()) <= self._gain_max:
             state = AdaptedState(state.matrix, inverse)
         return state, fallback if state.last is None else state.last
