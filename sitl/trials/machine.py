@@ -7,7 +7,7 @@ from typing import Any
 
 CRASHED, TOO_SLOW = 1, 3  # exit codes; 2 is a usage error, as everywhere
 _CLOCK_RATIO = 0.95
-_RATE_RATIO = 0.8  # of the telemetry asked for, as the daemon itself has it
+RATE_RATIO = 0.8  # of the telemetry asked for, as the daemon itself has it
 _STALE_SHARE, _STALE_MIN = 0.05, 3
 # Signs that a machine is short of time, enough when nothing at all was applied.
 _CLOCK_SIGN, _RATE_SIGN = 0.98, 0.95
@@ -60,7 +60,7 @@ def _reasons(f: Figures) -> list[str]:
     if f.rate_hz is None:
         reasons.append("the companion did not answer in time")
     # No telemetry at all is no matter of speed.
-    elif 0.0 < f.rate_hz < _RATE_RATIO * f.asked_hz:
+    elif 0.0 < f.rate_hz < RATE_RATIO * f.asked_hz:
         reasons.append(f"telemetry came at {f.rate_hz:.0f} of {f.asked_hz:.0f} Hz")
     if f.stale > max(_STALE_MIN, _STALE_SHARE * f.commands_sent):
         reasons.append(f"{f.stale} of {f.commands_sent} commands came too late")
