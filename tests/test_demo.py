@@ -42,6 +42,7 @@ def test_a_server_that_falls_behind_counts_the_time_it_loses(monkeypatch: pytest
     assert 0.0 <= behind - server.lost_s < 0.3, "what is lost is what the clocks differ by, but for the last moment"
 
 
+@pytest.mark.realtime
 def test_a_flight_on_a_machine_too_slow_for_it_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     slow_down(monkeypatch, 0.006)
     monkeypatch.setattr(demo, "FLY_ON_S", 1.0)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -99,6 +102,7 @@ class Range:
         return {"crashed": False}
 
 
+@pytest.mark.realtime
 def test_what_flies_beside_the_companion_is_timed_and_counted(tmp_path: Path) -> None:
     trial = Range(tmp_path)
     with trial.flying:
@@ -114,6 +118,41 @@ def test_what_flies_beside_the_companion_is_timed_and_counted(tmp_path: Path) ->
     assert machine["too_slow"] == bool(machine["reason"])
 
 
+@pytest.mark.realtime
+@pytest.mark.parametrize("module", [arducopter, px4], ids=["ardupilot", "px4"])
+def test_both_flights_become_one_document_with_the_companions_word_and_the_machines(
+    module: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The way through a flight, with an emulated vehicle in place of the firmware and of its test."""
+    trials: list[Range] = []
+
+    @contextmanager
+    def simulator(options: Any, model: Any, folder: Path, **_: Any) -> Iterator[Any]:
+        trials.append(Range(folder))
+        with trials[-1].flying:
+            yield SimpleNamespace(physics=trials[-1].fleet, process=SimpleNamespace(poll=lambda: None))
+
+    def test(pilot: Pilot, *_: Any) -> dict[str, Any]:
+        summary = trials[-1].fly(1.0)
+        return {**summary, "failed_at_s": trials[-1].clock() + 1.0}
+
+    monkeypatch.setattr(module, "simulator" if module is px4 else "Simulator", simulator)
+    monkeypatch.setattr(module, "Pilot", lambda url, **_: ThroughRange(trials))
+    monkeypatch.setattr(module, "_take_off" if module is px4 else "take_off", lambda *_: None)
+    monkeypatch.setattr(module, "_test", test)
+    monkeypatch.setattr(module, "config_text", lambda **_: trials[-1].text)
+    options = module.FlyOptions(binary=Path("binary"), rate_hz=100.0, failures=[1])
+    document = module.run(options, baseline=True, keep=tmp_path / "kept")
+    json.dumps(document, allow_nan=False)
+    assert document["options"]["failures"] == [1]
+    assert "machine" not in document["baseline"]
+    assert "status" not in document["companion"]
+    assert document["companion"]["faults"][0]["delay_s"] is None
+    assert document["machine"]["asked_hz"] == 100.0
+    assert "running: " in (tmp_path / "kept" / "companion" / "companion.log").read_text(encoding="utf-8")
+
+
+@pytest.mark.realtime
 def test_a_companion_that_is_never_ready_for_want_of_speed_is_no_failed_flight(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,6 +202,19 @@ def test_the_daemons_log_is_kept_when_a_flight_fails_and_sockets_are_not(tmp_pat
         flight.both({}, fly, baseline=False, keep=tmp_path / "kept")
     assert (tmp_path / "kept" / "companion" / "companion.log").read_text(encoding="utf-8") == "it said this\n"
     assert not (tmp_path / "kept" / "companion" / "s").exists()
+
+
+class ThroughRange:
+    """The pilot of the range that flies now."""
+
+    def __init__(self, trials: list[Range]) -> None:
+        self._trials, self.hooks = trials, []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._trials[-1].pilot, name)
+
+    def set_parameter(self, *_: Any) -> None:
+        self._trials[-1].pilot.hooks += self.hooks
 
 
 # -- verdicts ---------------------------------------------------------------------------------------------------------

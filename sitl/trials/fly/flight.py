@@ -79,7 +79,7 @@ class Beside:
 
 @contextmanager
 def companion(pilot: Pilot, folder: Path, text: str, *, rate_hz: float, ready_s: float = _READY_S) -> Iterator[Beside]:
-    """The daemon with configuration ``text``, which asks for ``rate_hz``, ready. Raises FlightError, SlowMachineError."""
+    """The daemon with configuration ``text``, asking for ``rate_hz``, ready. Raises FlightError, SlowMachineError."""
     config = folder / CONFIG
     config.write_text(text, encoding="utf-8")
     with DaemonProcess(config, folder / LOG) as daemon:
