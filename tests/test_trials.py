@@ -83,5 +83,6 @@ def test_bench_loop_answers_every_sample_with_its_own_override() -> None:
     )
     document = json.loads(result.stdout)
     assert document["samples"] > 0.9 * 400
+    assert document["p50_us"] > 50.0, "no daemon answers before its step is done"
     assert document["rss_mb"] < 110.0
     assert {"p50_us", "p99_us", "p999_us", "echo_p50_us", "ratio_p50", "cpu_percent"} <= set(document)

@@ -111,7 +111,7 @@ def sitl(
         if card is not None:
             card.cleanup()
     if json:
-        print_json(crash_report(fleet))
+        print_json(crash_report(server))
 
 
 def demo(
@@ -122,10 +122,16 @@ def demo(
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
     report: Annotated[Path, typer.Option(help="Picture to write: .html, .png or .svg.")] = Path("demo.report.html"),
+    keep: Annotated[Path | None, typer.Option(help="Folder for the daemon's configuration and log.")] = None,
     json: Json = False,
 ) -> None:
-    """Fly the same flight twice over UDP, without and with the companion, and compare."""
+    """Fly the same flight twice over UDP, without and with the companion, and compare.
+
+    Exit code 0: the flight with the companion ended in the air; 1: it crashed; 3: the machine was too slow, so that
+    the flight says neither.
+    """
     from sitl.trials import demo as demonstration
+    from sitl.trials import machine as machines
     from sitl.trials.report import write_report
 
     if mode not in MODES:
@@ -138,10 +144,12 @@ def demo(
         mode=mode,
         seed=seed,
     )
-    result = demonstration.run(options, say=lambda text: console.print(text, highlight=False))
+    result = demonstration.run(options, say=lambda text: console.print(text, highlight=False), keep=keep)
     write_report(report, result)
     console.print(f"picture: {report}", highlight=False, soft_wrap=True)
     if json:
         print_json(result.document)
+        console.print(machines.line(result.document["machine"]), highlight=False, soft_wrap=True)
     else:
-        console.print(demonstration.side_by_side(result.document), highlight=False)
+        console.print(demonstration.side_by_side(result.document), highlight=False, soft_wrap=True)
+    raise typer.Exit(machines.exit_code(result.document))

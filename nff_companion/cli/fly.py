@@ -20,12 +20,17 @@ def _line(flight: dict[str, Any]) -> None:
     failures = flight["options"]["failures"]
     if "error" in flight:
         console.print(f"motors {failures!s:9}: NOT FLOWN: {flight['error']}", highlight=False, soft_wrap=True)
+        if "machine" in flight:
+            _machine(flight)
         return
     parts = []
+    slow = flight["machine"]["too_slow"]
     for name in ("baseline", "companion"):
         if name in flight:
             f = flight[name]
             end = "CRASH" if f["crashed"] else "flies"
+            if slow and name == "companion":
+                end = "NOT JUDGED"
             parts.append(
                 f"{name} {end}, tilt {f['max_tilt_deg']:.1f} deg, off {f['max_position_error_m']:.2f} m,"
                 f" height lost {f['height_lost_m']} m"
@@ -35,6 +40,22 @@ def _line(flight: dict[str, Any]) -> None:
         parts.append(f"{f['changed_parameters']} parameters changed, not restored after kill -9: {f['not_restored']}")
     delays = [fault["delay_s"] for fault in flight["companion"]["faults"]]
     console.print(f"motors {failures!s:9}: {'; '.join(parts)}; delays {delays}", highlight=False, soft_wrap=True)
+    _machine(flight)
+
+
+def _machine(flight: dict[str, Any]) -> None:
+    from sitl.trials.machine import line
+
+    console.print(f"  {line(flight['machine'])}", highlight=False, soft_wrap=True)
+
+
+def _code(document: dict[str, Any]) -> int:
+    """Exit code of one flight or a campaign."""
+    from sitl.trials.machine import TOO_SLOW, exit_code
+
+    if "flights" in document:
+        return TOO_SLOW if document["summary"]["too_slow"] else 0
+    return exit_code(document)
 
 
 @fly_app.command("ardupilot")
@@ -49,10 +70,15 @@ def ardupilot(
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     seconds: Annotated[float, typer.Option(help="Flown on after the failure.")] = 15.0,
     baseline: Annotated[bool, typer.Option(help="Fly without the companion too.")] = True,
+    keep: Annotated[Path | None, typer.Option(help="Folder for the logs of a single flight.")] = None,
     jobs: Annotated[int, typer.Option(help="Flights at a time.")] = 1,
     json: Json = False,
 ) -> None:
-    """Take off, hover or fly a square, fail motors, and compare."""
+    """Take off, hover or fly a square, fail motors, and compare.
+
+    Exit code 0: the flight with the companion ended in the air; 1: it crashed; 3: the machine was too slow, so that
+    the flight says neither. Of a campaign 0, or 3 when the machine was too slow for any of its flights.
+    """
     from nff_companion.core import vehicle
     from sitl.trials.fly import arducopter as flights
     from sitl.trials.fly import campaign as campaigns
@@ -77,10 +103,11 @@ def ardupilot(
         for key, value in document["summary"].items():
             console.print(f"{key}: {value}", highlight=False)
     else:
-        document = flights.run(options, baseline=baseline)
+        document = flights.run(options, baseline=baseline, keep=keep)
         _line(document)
     if json:
         print_json(document)
+    raise typer.Exit(_code(document))
 
 
 @fly_app.command("px4")
@@ -99,9 +126,14 @@ def px4(
         bool, typer.Option("--journal", help="Then kill -9, land, and see the next start restore every parameter.")
     ] = False,
     baseline: Annotated[bool, typer.Option(help="Fly without the companion too.")] = True,
+    keep: Annotated[Path | None, typer.Option(help="Folder for the logs of a single flight.")] = None,
     json: Json = False,
 ) -> None:
-    """Hold at 30 m on our plant, fail motors, and compare."""
+    """Hold at 30 m on our plant, fail motors, and compare.
+
+    Exit code 0: the flight with the companion ended in the air; 1: it crashed; 3: the machine was too slow, so that
+    the flight says neither. Of a campaign 0, or 3 when the machine was too slow for any of its flights.
+    """
     from nff_companion.core import vehicle
     from sitl.trials.fly import campaign as campaigns
     from sitl.trials.fly import px4 as flights
@@ -126,10 +158,11 @@ def px4(
         for key, value in document["summary"].items():
             console.print(f"{key}: {value}", highlight=False)
     else:
-        document = flights.run(options, baseline=baseline)
+        document = flights.run(options, baseline=baseline, keep=keep)
         _line(document)
     if json:
         print_json(document)
+    raise typer.Exit(_code(document))
 
 
 @ardupilot_app.command("install")

@@ -19,12 +19,15 @@ from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
 from sitl.server import Server
-from sitl.trials.process import DaemonProcess, config_text, free_port
+from sitl.trials import machine as machines
+from sitl.trials.machine import Figures
+from sitl.trials.process import DaemonProcess, config_text, free_port, keep_files
 
 HEIGHT_M = 10.0
 FLY_ON_S = 12.0
 _RECORD_EVERY = 8  # cycles
 _START_TIMEOUT_S = 30.0
+_ACTING = ("allocate", "override")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,7 @@ class Trace:
     crashed_at_s: float | None = None
     max_tilt_deg: float = 0.0
     max_position_error_m: float = 0.0
+    figures: Figures | None = None  # of the machine, with a companion
 
 
 @dataclass(slots=True)
@@ -73,6 +77,8 @@ class Recorder:
         self.trace = Trace()
         self._motors = motors
         self.companion_heard = False
+        self.commands_sent = 0
+        self._samples: list[tuple[float, int]] = []  # wall time and samples taken by the companion, first and last
 
     def cycle(self, fleet: Fleet) -> None:
         """Called after each cycle."""
@@ -98,16 +104,43 @@ class Recorder:
             trace.position_error_m.append(error)
             trace.output.append(fleet.autopilot.output[0].tolist())
 
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the samples that the companion took, by the wall clock; 0 when it took none."""
+        if len(self._samples) < 2:
+            return 0.0
+        (began, first), (ended, last) = self._samples
+        return (last - first) / (ended - began)
+
     def message(self, message: Message, time_s: float) -> None:
         """Called with each message from a client."""
         kind = message.get_type()
         if kind == "NFF_COMPANION_STATUS":
             self.companion_heard = True
+            self.commands_sent = message.commands_sent
+            if message.samples:
+                self._samples[1:] = [(time.monotonic(), message.samples)]
         elif kind == "NFF_EFFECTIVENESS":
             self.trace.effectiveness_time_s.append(time_s)
             self.trace.effectiveness.append(list(message.effectiveness[: self._motors]))
         elif kind == "NFF_FAULT_EVENT":
             self.trace.events.append((time_s, message.motor, bool(message.declared), message.effectiveness))
+
+
+def _figures(server: Server, recorder: Recorder, options: DemoOptions, wall_s: float) -> Figures:
+    port = server.fleet.autopilot.ports[0]
+    return Figures(
+        flown_s=server.fleet.time_s,
+        wall_s=wall_s,
+        asked_hz=options.rate_hz,
+        rate_hz=recorder.rate_hz,
+        commands_sent=recorder.commands_sent,
+        stale=port.refused["stale"],
+        expected=options.mode in _ACTING and bool(options.failures),
+        acted=port.accepted > 0,
+        late_cycles=server.late_cycles,
+        lost_s=server.lost_s,
+    )
 
 
 def make_fleet(options: DemoOptions) -> Fleet:
@@ -144,7 +177,9 @@ def fly(options: DemoOptions, *, with_companion: bool, folder: Path) -> Trace:
         )
         with DaemonProcess(config, folder / "companion.log") as daemon:
             wait_for_companion(server, recorder, daemon)
+            began = time.monotonic()
             server.run(until, stop=lambda: recorder.trace.crashed_at_s is not None)
+            recorder.trace.figures = _figures(server, recorder, options, time.monotonic() - began)
         return recorder.trace
     finally:
         server.close()
@@ -170,7 +205,7 @@ def _described(trace: Trace) -> dict[str, Any]:
     }
 
 
-def describe(options: DemoOptions, baseline: Trace, companion: Trace) -> dict[str, Any]:
+def describe(options: DemoOptions, baseline: Trace, companion: Trace, machine: dict[str, Any]) -> dict[str, Any]:
     """The JSON document of a demo."""
     declared = [(t, motor, eta) for t, motor, on, eta in companion.events if on]
     faults = []
@@ -197,27 +232,37 @@ def describe(options: DemoOptions, baseline: Trace, companion: Trace) -> dict[st
         },
         "baseline": _described(baseline),
         "companion": {**_described(companion), "faults": faults, "false_alarms": false_alarms},
+        "machine": machine,
     }
 
 
-def run(options: DemoOptions, say: Callable[[str], None]) -> DemoResult:
-    """Both flights."""
+def run(options: DemoOptions, say: Callable[[str], None], keep: Path | None = None) -> DemoResult:
+    """Both flights. ``keep``: a folder for the daemon's configuration and log."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         say("flying without the companion ...")
         baseline = fly(options, with_companion=False, folder=folder)
         say("flying with the companion ...")
-        companion = fly(options, with_companion=True, folder=folder)
-    return DemoResult(options, baseline, companion, describe(options, baseline, companion))
+        try:
+            companion = fly(options, with_companion=True, folder=folder)
+        finally:
+            if keep is not None:
+                keep_files(folder, keep)
+    assert companion.figures is not None
+    document = describe(options, baseline, companion, machines.judge(companion.figures))
+    return DemoResult(options, baseline, companion, document)
 
 
-def crash_report(fleet: Fleet) -> dict[str, Any]:
+def crash_report(server: Server) -> dict[str, Any]:
     """What ``nff sitl --json`` prints at its end."""
+    fleet = server.fleet
     return {
         "time_s": round(fleet.time_s, 3),
         "crashed": bool(fleet.state.crashed[0]),
         "max_tilt_deg": round(float(np.degrees(fleet.max_tilt_rad[0])), 2),
         "refused": dict(fleet.autopilot.ports[0].refused),
+        "refused_messages": dict(server.refused),
+        "lost_s": round(server.lost_s, 3),
     }
 
 
@@ -231,4 +276,5 @@ def side_by_side(document: dict[str, Any]) -> str:
         found = "not found" if fault["delay_s"] is None else f"named after {1e3 * fault['delay_s']:.0f} ms"
         lines.append(f"motor {fault['motor']} failed at {fault['failed_at_s']:.1f} s: {found}")
     lines.append(f"false alarms: {comp['false_alarms']}")
+    lines.append(machines.line(document["machine"]))
     return "\n".join(lines)

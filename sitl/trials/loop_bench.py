@@ -71,8 +71,12 @@ class _Feeder:
         self._replies = Codec(1, 1)
         self.sequence = -1
 
-    def send(self, message: Message) -> None:
-        self._socket.sendto(self._codec.pack(message), self._peer)
+    def send(self, message: Message) -> float:
+        """Time when it was handed over, taken before: a daemon of higher priority runs before sendto returns."""
+        data = self._codec.pack(message)
+        sent = time.perf_counter()
+        self._socket.sendto(data, self._peer)
+        return sent
 
     def answer(self, sample_usec: int, until: float) -> float | None:
         """Time of the override for ``sample_usec``; None when it does not come."""
@@ -167,19 +171,15 @@ def _measure(
         if k % max(round(0.5 / period), 1) == 0:
             feeder.send(heartbeat)
             feeder.send(dialect.MAVLink_nff_applied_message(sample[-1].time_usec, *[0] * 12))
-        for message in sample[:-1]:
-            feeder.send(message)
-        # Before the last one leaves: a daemon of higher priority may answer while it is being sent.
-        sent = time.perf_counter()
-        feeder.send(sample[-1])
+        for message in sample:
+            sent = feeder.send(message)
         answered = feeder.answer(sample[-1].time_usec, sent + (_ANSWER_S if k >= warm else 0.5 * period))
         if k >= warm:
             if answered is None:
                 missed += 1
             else:
                 loop_s.append(answered - sent)
-            sent = time.perf_counter()
-            echoer.send(sample[-1])
+            sent = echoer.send(sample[-1])
             echoed = echoer.answer(sample[-1].time_usec, sent + _ANSWER_S)
             echoer.sequence = -1
             if echoed is not None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +32,16 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+def keep_files(folder: Path, keep: Path) -> None:
+    """Copy a trial's folder to ``keep``; links stay links, and sockets and pipes stay behind."""
+
+    def special(parent: str, names: list[str]) -> list[str]:
+        modes = {name: os.lstat(os.path.join(parent, name)).st_mode for name in names}
+        return [n for n, mode in modes.items() if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode))]
+
+    shutil.copytree(folder, keep, symlinks=True, dirs_exist_ok=True, ignore=special)
 
 
 def config_text(

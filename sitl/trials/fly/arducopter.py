@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import subprocess
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -17,12 +14,11 @@ import numpy as np
 from nff_companion.autopilots.ardupilot.install import install, parameter_file
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.vehicle import Vehicle
-from nff_companion.errors import ConfigError
 from nff_companion.mavlink.codec import dialect
-from sitl.trials.fly.companion_state import CompanionState
+from sitl.trials.fly import flight
 from sitl.trials.fly.pilot import FlightError, Pilot
 from sitl.trials.fly.record import FlightRecord, fault_report
-from sitl.trials.process import DaemonProcess, config_text, start
+from sitl.trials.process import config_text, start
 
 ENVIRONMENT = "NFF_ARDUCOPTER"
 _PORT = 5760  # of instance 0; ten further for each next one, and two further for its second serial port
@@ -69,13 +65,7 @@ class FlyOptions:
 
 def binary_from(path: Path | None) -> Path:
     """The arducopter binary from an option or the environment. Raises ConfigError when there is none."""
-    text = str(path) if path is not None else os.environ.get(ENVIRONMENT, "")
-    if not text:
-        raise ConfigError(f"give the arducopter SITL binary by --arducopter PATH or {ENVIRONMENT}=PATH")
-    found = Path(text).resolve()
-    if not os.access(found, os.X_OK):
-        raise ConfigError(f"{found} is not an executable file")
-    return found
+    return flight.binary_from(path, ENVIRONMENT, "--arducopter")
 
 
 class Simulator:
@@ -151,7 +141,7 @@ def square(centre: tuple[float, float, float]) -> np.ndarray:
     return np.array([(x + a, y + b, z) for a, b in corners])
 
 
-def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> tuple[FlightRecord, dict[str, Any]]:
+def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> dict[str, Any]:
     """One flight. Raises FlightError when it does not get as far as the failure, ConfigError."""
     vehicle = vehicle_model.load(options.airframe)
     record = FlightRecord()
@@ -163,30 +153,37 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> tuple[Fli
             take_off(pilot, options)
             pilot.set_parameter("SIM_SPEEDUP", 1.0)
             if not with_companion:
-                return record, _test(pilot, record, options)
-            config = folder / "companion.toml"
+                return _test(pilot, record, options)
             text = config_text(
                 endpoint=f"tcp:127.0.0.1:{companion_port(options)}",
                 airframe=options.airframe,
                 mode=options.mode,
                 rate_hz=options.rate_hz,
-                socket=folder / "s",
+                socket=folder / flight.SOCKET,
             )
-            config.write_text(text, encoding="utf-8")
-            with DaemonProcess(config, folder / "companion.log") as daemon:
-                state = CompanionState(folder / "s")
-                pilot.wait(state.ready, 40.0, "the companion to be ready", state.refresh, 0.3)
-                summary = _test(pilot, record, options)
-                summary["companion"] = state.document()
-                if daemon.process.poll() is not None:
-                    raise FlightError(f"the companion ended with code {daemon.process.returncode}")
-                return record, summary
+            with flight.companion(pilot, folder, text, rate_hz=options.rate_hz) as beside:
+                summary, machine = beside.test(
+                    lambda: _test(pilot, record, options),
+                    lambda: record.now_s,
+                    expected=options.mode != "observe" and bool(options.failures),
+                )
+            _judge(summary, record, options)
+            return {**summary, "machine": machine}
         except FlightError as error:
             if simulator.process.poll() is not None:
                 raise FlightError(f"arducopter ended with code {simulator.process.returncode}: {error}") from error
             raise
         finally:
             pilot.close()
+
+
+def _judge(summary: dict[str, Any], record: FlightRecord, options: FlyOptions) -> None:
+    """What the companion found, by its own word: the autopilot does not pass private messages on to the pilot."""
+    status = summary.pop("status")
+    record.events = [(e["time_s"], e["motor"], e["declared"], e["effectiveness"]) for e in status.get("events", [])]
+    summary["faults"], summary["false_alarms"] = fault_report(record, options.failures)
+    summary["rate_hz"], summary["slow_streams"] = status.get("rate_hz"), status.get("slow_streams")
+    summary["refused"] = (status.get("autopilot") or {}).get("refused")
 
 
 def take_off(pilot: Pilot, options: FlyOptions) -> None:
@@ -232,7 +229,7 @@ def _test(pilot: Pilot, record: FlightRecord, options: FlyOptions) -> dict[str, 
     assert start is not None
 
     def now() -> float:
-        return record.time_s[-1] if record.time_s else 0.0
+        return record.now_s
 
     began = now()
     wall = max(4.0 * (options.fail_at_s + options.fly_on_s), 60.0)
@@ -283,34 +280,17 @@ def _test(pilot: Pilot, record: FlightRecord, options: FlyOptions) -> dict[str, 
 
 def run(options: FlyOptions, *, baseline: bool = True, keep: Path | None = None) -> dict[str, Any]:
     """The flight without and with the companion; the document that ``nff fly`` prints."""
-    document: dict[str, Any] = {
-        "options": {
-            "firmware": "arducopter",
-            "airframe": options.airframe,
-            "failures": options.failures,
-            "wind_m_s": options.wind_m_s,
-            "speed_m_s": options.speed_m_s,
-            "rate_hz": options.rate_hz,
-            "mode": options.mode,
-        }
+    said = {
+        "firmware": "arducopter",
+        "airframe": options.airframe,
+        "failures": options.failures,
+        "wind_m_s": options.wind_m_s,
+        "speed_m_s": options.speed_m_s,
+        "rate_hz": options.rate_hz,
+        "mode": options.mode,
     }
-    for name, with_companion in (("baseline", False), ("companion", True)):
-        if name == "baseline" and not baseline:
-            continue
-        with tempfile.TemporaryDirectory(prefix="nff-fly-") as folder:
-            try:
-                record, summary = fly(options, with_companion=with_companion, folder=Path(folder))
-            finally:
-                if keep is not None:
-                    shutil.copytree(folder, keep / name, dirs_exist_ok=True, ignore_dangling_symlinks=True)
-        if with_companion:
-            status = summary.pop("companion")
-            # The autopilot does not pass private messages on to the pilot: the daemon itself is asked.
-            record.events = [
-                (e["time_s"], e["motor"], e["declared"], e["effectiveness"]) for e in status.get("events", [])
-            ]
-            summary["faults"], summary["false_alarms"] = fault_report(record, options.failures)
-            summary["rate_hz"], summary["slow_streams"] = status.get("rate_hz"), status.get("slow_streams")
-            summary["refused"] = (status.get("autopilot") or {}).get("refused")
-        document[name] = summary
-    return document
+
+    def one(with_companion: bool, folder: Path) -> dict[str, Any]:
+        return fly(options, with_companion=with_companion, folder=folder)
+
+    return flight.both(said, one, baseline=baseline, keep=keep)

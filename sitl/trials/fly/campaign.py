@@ -89,7 +89,8 @@ def _attempt(
         try:
             flight = fly()
             flight["attempt"] = attempt
-            break
+            if "error" not in flight:
+                break
         except FlightError as error:
             flight = {"options": {"failures": failures}, "error": str(error), "attempt": attempt}
     say(flight)
@@ -111,6 +112,7 @@ def summary(flights: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "flights": len(flown),
         "errors": len(flights) - len(flown),
+        "too_slow": sum(f.get("machine", {}).get("too_slow", False) for f in flights),
         "survived": sum(not f["companion"]["crashed"] for f in flown),
         "baseline_survived": sum(not b["crashed"] for b in base) if base else None,
         "motors_failed": len(faults),

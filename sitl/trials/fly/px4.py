@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,8 +23,8 @@ from sitl.faults import Fault
 from sitl.plant import full_load_share
 from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server
-from sitl.trials.fly.companion_state import CompanionState
-from sitl.trials.fly.pilot import FlightError, Pilot
+from sitl.trials.fly import flight
+from sitl.trials.fly.pilot import Pilot
 from sitl.trials.fly.px4_parameters import parameters
 from sitl.trials.process import DaemonProcess, config_text, start
 
@@ -59,11 +58,8 @@ class FlyOptions:
 
 def binary_from(path: Path | None) -> Path:
     """The px4 binary from an option or the environment. Raises ConfigError when there is none."""
-    text = str(path) if path is not None else os.environ.get(ENVIRONMENT, "")
-    if not text:
-        raise ConfigError(f"give the px4 SITL binary by --px4 PATH or {ENVIRONMENT}=PATH")
-    found = Path(text).resolve()
-    if not os.access(found, os.X_OK) or not (found.parent.parent / "etc").is_dir():
+    found = flight.binary_from(path, ENVIRONMENT, "--px4")
+    if not (found.parent.parent / "etc").is_dir():
         raise ConfigError(f"{found} is not an executable bin/px4 of a build folder with etc/ in it")
     return found
 
@@ -178,38 +174,36 @@ def fly(options: FlyOptions, *, with_companion: bool, folder: Path) -> dict[str,
             _take_off(pilot, server, options)
             if not with_companion:
                 return _test(pilot, server, options)
-            config = folder / "companion.toml"
             text = config_text(
                 endpoint=f"udpin:127.0.0.1:{_OFFBOARD_PORT}",
                 airframe=options.airframe,
                 mode=options.mode,
                 rate_hz=options.rate_hz,
-                socket=folder / "s",
+                socket=folder / flight.SOCKET,
                 thrust_to_weight=options.thrust_to_weight,
                 state_folder=folder / "state",
             )
-            config.write_text(text, encoding="utf-8")
             before = _told(pilot, vehicle) if options.kill_and_land else {}
-            with DaemonProcess(config, folder / "companion.log") as daemon:
-                state = CompanionState(folder / "s")
-                pilot.wait(state.ready, 40.0, "the companion to be ready", state.refresh, 0.3)
-                summary = _test(pilot, server, options)
-                summary["status"] = state.document()
-                if daemon.process.poll() is not None:
-                    raise FlightError(f"the companion ended with code {daemon.process.returncode}")
+            with flight.companion(pilot, folder, text, rate_hz=options.rate_hz) as beside:
+                summary, machine = beside.test(
+                    lambda: _test(pilot, server, options),
+                    lambda: server.physics.time_s,
+                    expected=options.mode != "observe" and bool(options.failures),
+                )
                 if options.kill_and_land:
-                    daemon.kill()
+                    beside.daemon.kill()
             journal = folder / "state" / "parameters.journal"
             summary["journal_left"] = journal.exists()
             if options.kill_and_land:
                 _land(pilot, server)
                 during = _told(pilot, vehicle)
-                with DaemonProcess(config, folder / "companion.log"):
+                with DaemonProcess(folder / flight.CONFIG, folder / flight.LOG):
                     pilot.wait(lambda: not journal.exists(), 60.0, "the restarted companion to restore")
                 after = _told(pilot, vehicle)
                 summary["changed_parameters"] = sum(during[name] != before[name] for name in before)
                 summary["not_restored"] = [name for name in before if after[name] != before[name]]
-            return summary
+            _judge(summary, options)
+            return {**summary, "machine": machine}
         finally:
             pilot.close()
 
@@ -246,33 +240,28 @@ def _test(pilot: Pilot, server: Px4Server, options: FlyOptions) -> dict[str, Any
     return {**truth.summary(), "failed_at_s": failed_at + _CLOCK_START_S, "texts": pilot.texts[-6:]}
 
 
-def run(options: FlyOptions, *, baseline: bool = True) -> dict[str, Any]:
+def run(options: FlyOptions, *, baseline: bool = True, keep: Path | None = None) -> dict[str, Any]:
     """The flight without and with the companion; the document that ``nff fly`` prints."""
-    document: dict[str, Any] = {
-        "options": {
-            "firmware": "px4",
-            "airframe": options.airframe,
-            "thrust_to_weight": options.thrust_to_weight,
-            "failures": options.failures,
-            "wind_m_s": options.wind_m_s,
-            "rate_hz": options.rate_hz,
-            "mode": options.mode,
-            "seed": options.seed,
-        }
+    said = {
+        "firmware": "px4",
+        "airframe": options.airframe,
+        "thrust_to_weight": options.thrust_to_weight,
+        "failures": options.failures,
+        "wind_m_s": options.wind_m_s,
+        "rate_hz": options.rate_hz,
+        "mode": options.mode,
+        "seed": options.seed,
     }
-    for name, with_companion in (("baseline", False), ("companion", True)):
-        if name == "baseline" and not baseline:
-            continue
-        with tempfile.TemporaryDirectory(prefix="nff-fly-") as folder:
-            summary = fly(options, with_companion=with_companion, folder=Path(folder))
-        if with_companion:
-            status = summary.pop("status")
-            _judge(summary, status, options)
-        document[name] = summary
-    return document
+
+    def one(with_companion: bool, folder: Path) -> dict[str, Any]:
+        return fly(options, with_companion=with_companion, folder=folder)
+
+    return flight.both(said, one, baseline=baseline, keep=keep)
 
 
-def _judge(summary: dict[str, Any], status: dict[str, Any], options: FlyOptions) -> None:
+def _judge(summary: dict[str, Any], options: FlyOptions) -> None:
+    """What the companion found, by its own word."""
+    status = summary.pop("status")
     declared = [e for e in status.get("events", []) if e["declared"]]
     summary["faults"] = []
     for motor in options.failures:

@@ -28,6 +28,11 @@ class FlightRecord:
     faults: list[tuple[float, int]] = field(default_factory=list)  # time, mask
     applied: list[tuple[float, int]] = field(default_factory=list)  # time on the autopilot, mask
 
+    @property
+    def now_s(self) -> float:
+        """The autopilot's clock, as last heard; 0 before."""
+        return self.time_s[-1] if self.time_s else 0.0
+
     def observe(self, message: Message) -> None:
         """Take any message."""
         kind = message.get_type()
