@@ -70,8 +70,9 @@ class Adaptation:
             new = new + _outer((o.composite * dt_s) * reach, tracking_error)
         left = self._identity - _outer(gain, basis)
         covariance = left.dot(covariance).dot(left.T) + _outer(noise * gain, gain)
-        if sum(covariance.diagonal().tolist()) > self._trace_max:
-            covariance *= self._trace_max / float(covariance.trace())
+        size = sum(covariance.diagonal().tolist())
+        if size > self._trace_max:
+            covariance *= self._trace_max / size
         return AdaptationState(a=new, covariance=covariance)
 
 

@@ -45,8 +45,8 @@ class Basis:
         """phi (k + 1,), the last one 1, of an input vector (d,)."""
         first, offset = self._first
         h = first.dot(np.minimum(np.maximum(features, self._lowest), self._highest)) + offset
-        for weight, bias in self._further:
-            h = weight.dot(np.maximum(h, 0.0)) + bias
+        for zero, weight, bias in self._further:
+            h = weight.dot(np.maximum(h, zero)) + bias
         phi = np.ones(self.functions)
         phi[:-1] = h
         return phi
@@ -70,9 +70,11 @@ class Basis:
         return weight, self.biases[0] - weight @ self.mean
 
     @cached_property
-    def _further(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """The layers after the first one."""
-        return tuple(zip(self.weights[1:], self.biases[1:], strict=True))
+    def _further(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]:
+        """The layers after the first one: what their input is cut at (zeros: numpy is slower with a number), weights,
+        biases."""
+        layers = zip(self.weights[1:], self.biases[1:], strict=True)
+        return tuple((np.zeros(weight.shape[1]), weight, bias) for weight, bias in layers)
 
     @cached_property
     def _lowest(self) -> np.ndarray:

@@ -19,7 +19,7 @@ from nff_companion.core.tuning import DecisionTuning
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Best explanation of the moment: motors (indices from 0), their losses e, and how sure."""
+    """Best explanation of the moment: motors (indices from 0), their losses 1 - eta, and how sure."""
 
     motors: tuple[int, ...]
     loss: tuple[float, ...]
@@ -123,7 +123,7 @@ class Decision:
         if best[index] < o.direct_min or rival - best[index] > o.direct_behind:
             return None
         found = self._describe(stopped, scores, index, matrix, vector, energy, sums, others, np.zeros(0))
-        return found if max(found.loss) <= -o.direct_loss_share * o.loss_sudden else None
+        return found if min(found.loss) >= o.direct_loss_share * o.loss_sudden else None
 
     @staticmethod
     def _describe(
@@ -138,15 +138,15 @@ class Decision:
         simpler: np.ndarray,
     ) -> Hypothesis:
         window = int(scores.improvement[:, index].argmax())
-        loss = scores.loss[window, index]
+        e = scores.e[window, index]
         improvement = float(scores.improvement[window, index])
         rivals = [float(array.max()) for array in (others, simpler) if array.size]
         chosen = list(motors)
         s = matrix[window][np.ix_(chosen, chosen)]
-        fit = float(vector[window][chosen] @ loss - 0.5 * loss @ s @ loss)
+        fit = float(vector[window][chosen] @ e - 0.5 * e @ s @ e)
         return Hypothesis(
             motors=tuple(int(i) for i in motors),
-            loss=tuple(float(e) for e in loss),
+            loss=tuple(-float(value) for value in e),
             improvement=improvement,
             margin=improvement - max(rivals, default=0.0),
             explained=2.0 * fit / max(float(energy[window]), 1e-12),
@@ -206,7 +206,7 @@ class Decision:
         new.failed = new.failed.copy()
         new.failed[list(found.motors)] = True
         return [
-            Event(time_s, motor + 1, True, 1.0 + loss, confidence)
+            Event(time_s, motor + 1, True, 1.0 - loss, confidence)
             for motor, loss in zip(found.motors, found.loss, strict=True)
         ]
 
@@ -266,6 +266,6 @@ class Decision:
             best.improvement >= o.improvement_min
             and best.margin >= o.margin_min
             and best.explained >= o.explained_min
-            and max(best.loss) <= -o.loss_sudden
-            and (-sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
+            and min(best.loss) >= o.loss_sudden
+            and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )

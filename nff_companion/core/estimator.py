@@ -13,104 +13,22 @@ No clock, no input or output. What is handed out never changes afterwards; a sta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from nff_companion.core import sparse
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
-from nff_companion.core.disturbance import (
-    Basis,
-    Disturbance,
-    DisturbanceState,
-    Expectation,
-    SideDragState,
-    learn_side_drag,
-)
+from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
+from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen
 from nff_companion.core.features import features
 from nff_companion.core.filters import lag_share
 from nff_companion.core.onset import OnsetBank, OnsetState
-from nff_companion.core.residual import ResidualFilter, ResidualState
+from nff_companion.core.residual import ResidualFilter
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, YAW, Vehicle
 from nff_companion.errors import SolverError
 
-
-@dataclass(slots=True)
-class EstimatorState:
-    """Everything remembered between samples."""
-
-    residual: ResidualState
-    disturbance: DisturbanceState
-    side_drag: SideDragState
-    information: sparse.Information
-    onset: OnsetState
-    steady: np.ndarray  # (m,) w, slow
-    decision: DecisionState
-    started_s: float
-    suspicious_since_s: float | None
-    solved_s: float
-    effectiveness: np.ndarray
-    deviation: np.ndarray
-
-
-@dataclass(slots=True)
-class Estimate:
-    """Result of one sample. Arrays (m,) unless said otherwise."""
-
-    effectiveness: np.ndarray  # eta, 1: healthy; of declared motors what the data still say
-    deviation: np.ndarray
-    failed: np.ndarray  # bool, latched
-    raw: np.ndarray  # (n,) y, without the motors declared, m/s^2 and rad/s^2
-    residual: np.ndarray  # (n,) y - phi a
-    disturbance: np.ndarray  # (n,) phi a
-    features: np.ndarray | None  # (d,) that phi was fed with
-    thrust_shown: np.ndarray  # w, thrust fractions as they show in y
-    lateral_m_s2: np.ndarray  # (2,) specific force along x and y, smoothed
-    best: Hypothesis | None
-    events: list[Event]
-
-    @property
-    def push(self) -> np.ndarray:
-        """``lateral_m_s2`` by its former name."""
-        return self.lateral_m_s2
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """What the autopilot says of the vehicle's state: NED velocity (3,) m/s, body-to-NED quaternion (4,)."""
-
-    velocity_m_s: np.ndarray
-    quaternion: np.ndarray
-
-
-class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """One sample as the estimator takes it (a struct of msgspec: a frozen dataclass costs fifteen times as much)."""
-
-    time_s: float
-    dt_s: float  # since the sample before
-    gyro: np.ndarray  # (3,) rad/s
-    specific_force: np.ndarray  # (3,) m/s^2
-    command: np.ndarray  # (m,) thrust fractions asked of the motors
-    stopped: np.ndarray | None = None  # (m,) bool: stand still by their rotor speeds
-    motion: Motion | None = None  # None: not known, phi stays what it was
-    allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
-
-
-@dataclass(slots=True)
-class _Seen:
-    """What one sample shows, before anything is made of it."""
-
-    filtered: ResidualState
-    side_drag: np.ndarray  # (m,) yaw acceleration per thrust fraction
-    effectiveness_matrix: np.ndarray  # B0 (n, m)
-    thrust_left: np.ndarray  # (m,) w, without the motors declared
-    raw: np.ndarray  # (n,) y
-    features: np.ndarray | None
-    expectation: Expectation
-    residual: np.ndarray  # (n,) y - phi a
-    noise_weight: np.ndarray  # (n,) diagonal of W
+__all__ = ["Estimate", "Estimator", "EstimatorState", "Measurement", "Motion"]
 
 
 class Estimator:
@@ -241,7 +159,7 @@ class Estimator:
             events=events,
         )
 
-    def _explain(self, state: EstimatorState, measurement: Measurement) -> _Seen:
+    def _explain(self, state: EstimatorState, measurement: Measurement) -> Seen:
         """y, what of it is expected, and W. Raises SolverError where the residual is not finite."""
         motion, failed = measurement.motion, state.decision.failed
         filtered = self._filter.step(
@@ -263,7 +181,7 @@ class Estimator:
         residual = raw - expectation.believed
         if not math.isfinite(sum(residual.tolist())):
             raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
-        return _Seen(
+        return Seen(
             filtered=filtered,
             side_drag=side_drag,
             effectiveness_matrix=matrix,
@@ -276,7 +194,7 @@ class Estimator:
         )
 
     def _accumulate(
-        self, state: EstimatorState, seen: _Seen, dt_s: float
+        self, state: EstimatorState, seen: Seen, dt_s: float
     ) -> tuple[sparse.Information, OnsetState, np.ndarray]:
         """S and q, the history of the onsets, and the slow part of w, with this sample."""
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
@@ -287,7 +205,7 @@ class Estimator:
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
 
     def _weigh(
-        self, state: EstimatorState, seen: _Seen, onset: OnsetState, stopped: np.ndarray | None
+        self, state: EstimatorState, seen: Seen, onset: OnsetState, stopped: np.ndarray | None
     ) -> tuple[Hypothesis | None, Hypothesis | None]:
         """The best explanation of the last moments by lost motors, and the one that rotor speeds name; None: none."""
         failed = state.decision.failed
@@ -308,7 +226,7 @@ class Estimator:
     def _learn(
         self,
         state: EstimatorState,
-        seen: _Seen,
+        seen: Seen,
         measurement: Measurement,
         rate: float,
         effectiveness: np.ndarray,

@@ -15,9 +15,9 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Best loss and improvement of each hypothesis in each window."""
+    """Best e and improvement of each hypothesis in each window."""
 
-    loss: np.ndarray  # (K, H, s) e of each motor of the set, in [-1, 0]
+    e: np.ndarray  # (K, H, s) eta - 1 of each motor of the set, in [-1, 0]
     improvement: np.ndarray  # (K, H) fall of J, in nats
 
 
@@ -25,9 +25,8 @@ def singles(matrix: np.ndarray, vector: np.ndarray, gamma: float) -> Scores:
     """Scores of each motor alone, from S (K, m, m) and q (K, m)."""
     diagonal = np.einsum("kii->ki", matrix)
     linear = vector + gamma
-    loss = np.clip(linear / (diagonal + _TINY), -1.0, 0.0)
-    improvement = linear * loss - 0.5 * diagonal * loss * loss
-    return Scores(loss[:, :, None], improvement)
+    e = np.clip(linear / (diagonal + _TINY), -1.0, 0.0)
+    return Scores(e=e[:, :, None], improvement=linear * e - 0.5 * diagonal * e * e)
 
 
 def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarray, second: np.ndarray) -> Scores:
@@ -54,7 +53,7 @@ def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarra
             better = here > best
             best = np.where(better, here, best)
             best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
-    return Scores(np.stack([best_x, best_y], axis=2), best)
+    return Scores(e=np.stack([best_x, best_y], axis=2), improvement=best)
 
 
 def without_nuisance(

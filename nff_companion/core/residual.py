@@ -70,16 +70,18 @@ class ResidualFilter:
 
     def __init__(self, vehicle: Vehicle, dt_s: float, tuning: ResidualTuning = ResidualTuning()) -> None:  # noqa: B008
         motor, telemetry = vehicle.motor, vehicle.telemetry
-        self._up, self._down = lag_share(dt_s, motor.time_constant_up_s), lag_share(dt_s, motor.time_constant_down_s)
+        up, down = lag_share(dt_s, motor.time_constant_up_s), lag_share(dt_s, motor.time_constant_down_s)
         # Of the two ways that the lag could go, up or down, the larger is the one taken where up is the faster.
-        self._way = np.maximum if self._up >= self._down else np.minimum
+        self._way = np.maximum if up >= down else np.minimum
+        # Constants are arrays (m,): numpy needs half as long again for an array with a number.
+        self._up, self._down = np.full(vehicle.motors, up), np.full(vehicle.motors, down)
         gyro, accelerometer = telemetry.gyro_filter_hz, telemetry.accelerometer_filter_hz
         self.low_pass = LowPass.design(gyro, dt_s)
         # Where one sensor alone is filtered, the other is given the same filter here.
         self._sensor_low_pass = LowPass.design(gyro, dt_s) if gyro and not accelerometer else None
-        self._smooth = lag_share(dt_s, tuning.smoothing_s)
-        self._shares = np.array([self._smooth] * 9 + [lag_share(dt_s, tuning.lateral_s)] * 2)
-        self._idle = tuning.idle
+        smooth = lag_share(dt_s, tuning.smoothing_s)
+        self._smooth, self._idle = np.full(vehicle.motors, smooth), np.full(vehicle.motors, tuning.idle)
+        self._shares = np.array([smooth] * 9 + [lag_share(dt_s, tuning.lateral_s)] * 2)
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._nominal = vehicle.acceleration_effectiveness
         x, y = vehicle.position_m.T
