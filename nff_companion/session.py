@@ -261,8 +261,9 @@ class Session:
         self.reporter.step_done(output, now_s)
         for event in output.events:
             self._news.append((now_s, event))
-            self._send(self.reporter.event(event), None)
-            self._send_all(self._announcer.event(event, now_s), None)
+            if self._options.act:
+                self._send(self.reporter.event(event), None)
+                self._send_all(self._announcer.event(event, now_s), None)
         self._say_verdict(now_s)
 
     def _commands(self, adapter: Adapter, output: Output, time_s: float) -> None:
@@ -341,6 +342,7 @@ class Session:
             self.state, _ = self._companion.interrupted(self.state, _NOTHING, Statement(Reason.WAITING))
             return
         self._port, self._port_heard_s = port, now_s
+        self._condition = self._conditioned(adapter, now_s)
         self._parameters.adopt(adapter.target[0])
         self._sync.adopt(adapter.target[0])
         agreed = _sample_rate(adapter.streams(self._options.rate_hz), self._options.rate_hz)
@@ -360,7 +362,8 @@ class Session:
         if not self._lost and now_s - self._sample_s > self._options.stream_timeout_s:
             self._silence(now_s)
         if adapter is not None:
-            self._send_all(adapter.due(now_s, self._permit()), self._port)
+            if self._may_ask():
+                self._send_all(adapter.due(now_s, self._permit()), self._port)
             if self._lost and self._schedule.word:
                 self._condition = self._conditioned(adapter, now_s)
                 self._commands(adapter, self.output, self.autopilot_time_s(now_s))
@@ -378,6 +381,10 @@ class Session:
         self.reporter.silent()
         self._unconfirmed_s = self._confirmation.step(output, self._condition, now_s)
         self._say_verdict(now_s)
+
+    def _may_ask(self) -> bool:
+        """A check before the flight asks nothing of an armed vehicle."""
+        return self._options.act or not self._condition.armed
 
     def _permit(self) -> Permit:
         if not self._options.act:
@@ -400,9 +407,9 @@ class Session:
 
     def _look(self, adapter: Adapter, now_s: float) -> None:
         """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""
-        self._send_all(self._sync.tick(round(1e9 * now_s)), self._port)
         streams = adapter.streams(self._options.rate_hz)
-        if self._options.act or not self._condition.armed:
+        if self._may_ask():
+            self._send_all(self._sync.tick(round(1e9 * now_s)), self._port)
             self._send_all(self._streams.requests(streams, adapter.target, now_s), self._port)
         if not self._options.act:
             self._condition = self._conditioned(adapter, now_s)

@@ -98,6 +98,15 @@ def test_a_check_before_the_flight_only_asks() -> None:
     assert set(kinds) <= REQUESTS | {"HEARTBEAT", "TUNNEL"}
 
 
+def test_a_check_asks_nothing_of_an_armed_vehicle_and_says_so() -> None:
+    session = bare_session(act=False)
+    kinds = Counter(m.message.get_type() for m in session.take(autopilot_heartbeat(armed=True), 0, 0.0))
+    for k in range(300):
+        kinds.update(m.message.get_type() for m in session.due(0.01 * k))
+    assert set(kinds) == {"HEARTBEAT"}
+    assert any(finding.name == "armed" and finding.ok is False for finding in session.findings(3.0))
+
+
 # -- time and gaps ------------------------------------------------------------------------------------------------
 
 
