@@ -6,8 +6,6 @@ virtual time. ``step`` is the only owner of what is believed; states are passed 
 
 from __future__ import annotations
 
-from dataclasses import replace as replaced
-
 import numpy as np
 from msgspec.structs import replace
 
@@ -19,7 +17,8 @@ from nff_companion.condition import Condition, Mode, Reason, Statement, first, r
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
 from nff_companion.core.basis_network import Basis
-from nff_companion.core.estimator import Estimate, Estimator, EstimatorState, Motion
+from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion
+from nff_companion.core.estimator import Estimator
 from nff_companion.core.flight_phase import FlightPhase
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
@@ -46,7 +45,7 @@ class Companion:
         self.vehicle, self.rate_hz, self.network, self.parts = vehicle, rate_hz, network, parts
         self.tuning, self.allocation = tuning or Tuning(), allocation
         o = self.tuning
-        self._dt_s = 1.0 / rate_hz
+        self._dt_s, self._composite = 1.0 / rate_hz, self.tuning.adaptation.composite > 0.0
         basis = network if parts.learn else None
         self._estimator = (
             Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint)
@@ -247,27 +246,27 @@ class Companion:
         gyro, force = sample.gyro_rad_s, sample.specific_force_m_s2
         if before is None:
             before = self._estimator.start(sample.time_s, gyro, force, command, state.failed)
-        elif before.decision.failed is not state.failed:
-            before = replaced(before, decision=replaced(before.decision, failed=state.failed))
-        plan = state.planning.plan or self._planner.healthy
-        return self._estimator.step(
-            before,
-            sample.time_s,
-            gyro,
-            force,
-            command,
-            gap_s,
-            self._stopped(state, sample, command),
-            _motion(sample),
-            plan.norm if plan is not None else 0.0,
+        plan, error = state.planning.plan or self._planner.healthy, state.loop.memory.tracking_error
+        measurement = Measurement(
+            time_s=sample.time_s,
+            dt_s=gap_s,
+            gyro=gyro,
+            specific_force=force,
+            command=command,
+            stopped=self._stopped(state, sample, command),
+            motion=_motion(sample),
+            allocation_norm=plan.norm if plan is not None else 0.0,
+            failed=state.failed,
+            tracking_error=np.array(error) if self._composite and error and state.blind is None else None,
         )
+        return self._estimator.step(before, measurement)
 
     def _known(self, estimate: Estimate) -> Knowledge:
         """What is fed forward."""
         parts, nothing = self.parts, self._nothing
         return Knowledge(
             estimate.disturbance if parts.learn else nothing.residual,
-            estimate.push if parts.feed_lateral else nothing.push_m_s2,
+            estimate.lateral_m_s2 if parts.feed_lateral else nothing.push_m_s2,
         )
 
     def _stopped(self, state: CompanionState, sample: Sample, command: np.ndarray) -> np.ndarray | None:

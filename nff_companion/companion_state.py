@@ -16,7 +16,7 @@ from nff_companion.condition import Mode, Reason, Statement, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideState
 from nff_companion.core.decision import Event
-from nff_companion.core.estimator import Estimate, EstimatorState
+from nff_companion.core.estimate import Estimate, EstimatorState
 from nff_companion.core.flight_phase import FlightPhaseState
 from nff_companion.core.rotor_speed import RotorSpeedState
 

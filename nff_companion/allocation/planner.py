@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.core import sparse
-from nff_companion.core.estimator import Estimate
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import PlannerTuning
 from nff_companion.core.vehicle import Vehicle
 

@@ -8,9 +8,11 @@ they have little to do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from nff_companion.core.filters import lag_share
 from nff_companion.core.tuning import DEFAULT, LawTuning
@@ -47,12 +49,12 @@ class Knowledge:
         return Knowledge(np.zeros(axes), np.zeros(2))
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
+class Memory(msgspec.Struct, frozen=True, eq=False):
     """What the law remembers between samples; (3,) each.
 
     Integrals of the position loop, m/s^2 NED, and of the attitude loop, rad/s^2 body; the last body rates and their
-    derivative; the body axes wanted last (NED) and the rate at which they turn.
+    derivative; the body axes wanted last (NED) and the rate at which they turn; the tracking error s (n,) of the last
+    sample, actual - reference: upward velocity in m/s, body rates in rad/s.
     """
 
     push_m_s2: np.ndarray
@@ -61,6 +63,7 @@ class Memory:
     acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)
     desired: Axes | None = None
     turning_rad_s: Vector = (0.0, 0.0, 0.0)
+    tracking_error: tuple[float, ...] = ()
 
     def held_back(self, before: Memory, limited: np.ndarray) -> Memory:
         """With the attitude integrals of axes that are ``limited`` (3,) bool by saturation grown no further."""
@@ -201,12 +204,13 @@ class ControlLaw:
         desired = (_cross(right, down), right, down)
         turning = self._turning(memory, desired, dt_s)
         w, j = state.rate_rad_s.tolist(), self._inertia
-        angular, grown, acceleration = self._turn(attitude_error(body, desired), turning, w, memory, knowledge, dt_s)
+        angular, turned = self._turn(attitude_error(body, desired), turning, w, memory, knowledge, dt_s)
         gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
         torque = [j[k] * angular[k] + gyroscopic[k] for k in range(3)]
         demand = np.array([self._vehicle.mass_kg * specific, *torque])
-        after = Memory(gathered, grown, (w[0], w[1], w[2]), acceleration, desired, turning)
-        return demand * self._scale, after
+        sinking = float(state.velocity_m_s[2] - reference.velocity_m_s[2])
+        error = (-sinking, *turned.tracking_error)
+        return demand * self._scale, replace(turned, push_m_s2=gathered, desired=desired, tracking_error=error)
 
     def _turn(
         self,
@@ -216,23 +220,31 @@ class ControlLaw:
         memory: Memory,
         knowledge: Knowledge,
         dt_s: float,
-    ) -> tuple[list[float], np.ndarray, Vector]:
-        """Angular acceleration asked for, the integral (3,) of the attitude loop, and that of the gyro."""
+    ) -> tuple[list[float], Memory]:
+        """Angular acceleration (3,) asked for, and what the attitude loop remembers."""
         g, t = self.gains, self._tuning
         share = lag_share(dt_s, t.lead_s)
         before = memory.rate_rad_s or (w[0], w[1], w[2])
         old = memory.acceleration_rad_s2
         acceleration = [old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3)]
         integral, known = memory.turn_rad_s2.tolist(), knowledge.residual.tolist()
-        out = []
+        out, error = [], []
         for k in range(3):
             slow, most = (t.yaw_share, t.yaw_rate_max_rad_s) if k == 2 else (1.0, t.rate_max_rad_s)
             rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
+            error.append(w[k] - rate)
             back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
             out.append(slow * (back + integral[k]) - known[k + 1])
             step = dt_s * t.torque_integral_per_s * g.rate * g.attitude * axis[k] * slow
             integral[k] = _clip(integral[k] + step, t.torque_integral_max_rad_s2)
-        return out, np.array(integral), (acceleration[0], acceleration[1], acceleration[2])
+        return out, Memory(
+            push_m_s2=memory.push_m_s2,
+            turn_rad_s2=np.array(integral),
+            rate_rad_s=(w[0], w[1], w[2]),
+            acceleration_rad_s2=(acceleration[0], acceleration[1], acceleration[2]),
+            turning_rad_s=turning,
+            tracking_error=tuple(error),
+        )
 
     def _turning(self, memory: Memory, desired: Axes, dt_s: float) -> Vector:
         """Rate (3,) rad/s, body, at which the attitude wanted turns, smoothed."""

@@ -166,12 +166,15 @@ class Disturbance:
         dt_s: float,
         rate: float = 1.0,
         allocation_norm: float = 0.0,
+        tracking_error: np.ndarray | None = None,
     ) -> DisturbanceState:
         """One sample of the raw residual y (n,), of which ``expectation`` was expected in ``state``; ``rate`` scales
-        the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8)."""
+        the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8);
+        ``tracking_error`` s (n,) in m/s and rad/s, of the composite law."""
         o, adaptation, variance = self._tuning, state.adaptation, state.variance
         if rate > 0.0:
-            adaptation = self._adapted(adaptation, expectation, residual, min(rate * dt_s, self._step_max_s))
+            step_s = min(rate * dt_s, self._step_max_s)
+            adaptation = self._adapted(adaptation, expectation, residual, step_s, tracking_error)
             around = residual - expectation.believed
             most = o.spread_limit**2 * np.maximum(variance, self._floor_squared)
             share = min(rate * dt_s / o.spread_s, o.spread_step_max)
@@ -180,14 +183,20 @@ class Disturbance:
         return DisturbanceState(adaptation=adaptation, basis=expectation.basis, variance=variance)
 
     def _adapted(
-        self, state: AdaptationState, expectation: Expectation, residual: np.ndarray, dt_s: float
+        self,
+        state: AdaptationState,
+        expectation: Expectation,
+        residual: np.ndarray,
+        dt_s: float,
+        tracking_error: np.ndarray | None,
     ) -> AdaptationState:
         """One step of a. At the limit of what may be learnt y is taken for what is learnt already, so that a does not
         wind up."""
         innovation = residual - expectation.learnt
         held = innovation * (expectation.learnt - expectation.believed) > 0.0
         seen = np.where(held, expectation.learnt, residual) if True in held.tolist() else residual
-        return self._adaptation.step(state, expectation.basis, seen / self._scale, dt_s)
+        error = None if tracking_error is None else tracking_error / self._scale
+        return self._adaptation.step(state, expectation.basis, seen / self._scale, dt_s, error)
 
     def _projected(self, state: AdaptationState, allocation_norm: float) -> AdaptationState:
         """Within (6.8), whose bound moves with the allocation in force."""

@@ -48,11 +48,6 @@ class Estimate:
     best: Hypothesis | None
     events: list[Event]
 
-    @property
-    def push(self) -> np.ndarray:
-        """``lateral_m_s2`` by its former name."""
-        return self.lateral_m_s2
-
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -73,6 +68,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     stopped: np.ndarray | None = None  # (m,) bool: stand still by their rotor speeds
     motion: Motion | None = None  # None: not known, phi stays what it was
     allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
+    failed: np.ndarray | None = None  # (m,) bool: declared; None: as the last step left it
+    tracking_error: np.ndarray | None = None  # (n,) s, actual - reference, where the law closes the loop; m/s, rad/s
 
 
 @dataclass(slots=True)

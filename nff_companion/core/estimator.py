@@ -13,6 +13,7 @@ No clock, no input or output. What is handed out never changes afterwards; a sta
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -82,34 +83,11 @@ class Estimator:
             deviation=np.ones(m),
         )
 
-    def step(
-        self,
-        state: EstimatorState,
-        time_s: float,
-        gyro: np.ndarray,
-        specific_force: np.ndarray,
-        command: np.ndarray,
-        dt_s: float,
-        stopped: np.ndarray | None = None,
-        motion: Motion | None = None,
-        allocation_norm: float = 0.0,
-    ) -> tuple[EstimatorState, Estimate]:
-        """``advance`` by the fields of a ``Measurement``."""
-        measurement = Measurement(
-            time_s=time_s,
-            dt_s=dt_s,
-            gyro=gyro,
-            specific_force=specific_force,
-            command=command,
-            stopped=stopped,
-            motion=motion,
-            allocation_norm=allocation_norm,
-        )
-        return self.advance(state, measurement)
-
-    def advance(self, state: EstimatorState, measurement: Measurement) -> tuple[EstimatorState, Estimate]:
+    def step(self, state: EstimatorState, measurement: Measurement) -> tuple[EstimatorState, Estimate]:
         """One sample. Raises SolverError."""
-        time_s = measurement.time_s
+        time_s, failed = measurement.time_s, measurement.failed
+        if failed is not None and state.decision.failed is not failed:
+            state = replace(state, decision=replace(state.decision, failed=failed))
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         best = direct = None
@@ -237,8 +215,15 @@ class Estimator:
         explained = self._explained(effectiveness, failed) if self.identify else None
         if explained is not None:
             rest = rest - seen.effectiveness_matrix.dot(seen.filtered.thrust_shown * explained)
-        norm = measurement.allocation_norm
-        disturbance = self._disturbance.learn(state.disturbance, seen.expectation, rest, dt_s, rate, norm)
+        disturbance = self._disturbance.learn(
+            state.disturbance,
+            seen.expectation,
+            rest,
+            dt_s,
+            rate,
+            measurement.allocation_norm,
+            measurement.tracking_error,
+        )
         if rate != 1.0:
             return disturbance, state.side_drag
         slope, yaw = float(seen.side_drag.dot(seen.thrust_left)), float(seen.residual[YAW])

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from nff_companion.core.estimator import Estimate
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.vehicle import Vehicle
 
 

@@ -69,6 +69,10 @@ def variants() -> dict[str, Variant]:
     return {
         "full": Variant(),
         "no-phi": Variant(network="none"),
+        **{
+            f"composite-{weight:g}": Variant(tuning=Tuning().having("adaptation", composite=weight))
+            for weight in (0.1, 1.0, 5.0)
+        },
         "lateral-for-all": Variant(lambda parts: replace(parts, feed_lateral=True)),
         "lateral-for-none": Variant(lambda parts: replace(parts, feed_lateral=False)),
         "published": Variant(lambda parts: replace(parts, target=shaped), _UNDECLARED),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nff_companion.core.estimator import Estimate
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import DEFAULT
 from nff_companion.core.vehicle import Vehicle
 from sitl.trials.research.full_matrix import FullMatrix, FullMatrixOptions, FullMatrixState

@@ -15,7 +15,7 @@ import numpy as np
 
 from nff_companion.core.decision import DecisionState, Event
 from nff_companion.core.disturbance import Disturbance
-from nff_companion.core.estimator import Estimate, Motion
+from nff_companion.core.estimate import Estimate, Measurement
 from nff_companion.core.residual import ResidualFilter, ResidualState
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
@@ -92,21 +92,13 @@ class ImmEstimator:
             decision.failed = failed.copy()
         return ImmState(self._filter.start(gyro, specific_force, command), decision, self._bank(), None, 0)
 
-    def step(
-        self,
-        state: ImmState,
-        time_s: float,
-        gyro: np.ndarray,
-        specific_force: np.ndarray,
-        command: np.ndarray,
-        dt_s: float,
-        stopped: np.ndarray | None = None,
-        motion: Motion | None = None,
-        allocation_norm: float = 0.0,
-    ) -> tuple[ImmState, Estimate]:
+    def step(self, state: ImmState, measurement: Measurement) -> tuple[ImmState, Estimate]:
         """One sample."""
-        filtered = self._filter.step(state.residual, gyro, specific_force, command, dt_s)
-        failed = state.decision.failed
+        time_s, command = measurement.time_s, measurement.command
+        filtered = self._filter.step(
+            state.residual, measurement.gyro, measurement.specific_force, command, measurement.dt_s
+        )
+        failed = state.decision.failed if measurement.failed is None else measurement.failed
         weight = np.where(failed, 0.0, filtered.thrust_shown)
         residual = filtered.measured - self._matrix @ weight
         for index, one in enumerate(state.bank.filters):

@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from nff_companion.core import sparse
-from nff_companion.core.estimator import Estimate
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.parts import FLOWN, Parts
 from sitl.trials.research.adapted import AdaptedMatrix
 
