@@ -76,6 +76,7 @@ class Reason(Enum):
     HEALTHY = (64, "all motors healthy")
     # For the pilot, beside the above.
     WATCHDOG_SILENT = (70, "applet watchdog is silent")
+    TABLES_DIFFER = (71, "{} tables on the card are not this airframe file's")
     SECOND_VEHICLE = (70, "system {} is heard too")
     LATER_TWIN = (70, "another companion is heard ({})")
     SPEED_SENSOR = (71, "motor {} pulls but reads no speed")

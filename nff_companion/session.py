@@ -233,7 +233,7 @@ class Session:
         """The end: the vehicle is given back; confirmed declarations stay."""
         adapter = self.adapter
         if adapter is not None and np.isfinite(self._sample_s):
-            self._schedule, commands = schedule.released(self._schedule, self.autopilot_time_s(now_s))
+            self._schedule, commands = schedule.released(self._schedule, self.autopilot_time_s(now_s), leaving=True)
             self._command(adapter, commands)
         return self._flushed()
 

@@ -17,6 +17,7 @@ from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 
 SYSTEM = 1
+INSTANCE = 4711
 
 
 class AppletBench:
@@ -31,6 +32,7 @@ class AppletBench:
         self._companion = Codec(SYSTEM, COMPANION_COMPONENT)
         self._at_autopilot = Codec(SYSTEM, 1)
         self.heard: list[TunnelMessage] = []
+        self.told: list[tuple[int, int, TunnelMessage]] = []  # with channel and component that it was sent to
         self.sequence = 0
 
     @property
@@ -50,34 +52,54 @@ class AppletBench:
     def pwm(self) -> np.ndarray:
         return self.autopilot.port.pwm_at(self.fleet.time_s)
 
-    def send(self, message: TunnelMessage, *, system: int = SYSTEM, component: int = COMPANION_COMPONENT) -> None:
+    def send(
+        self,
+        message: TunnelMessage,
+        *,
+        system: int = SYSTEM,
+        component: int = COMPANION_COMPONENT,
+        instance: int = INSTANCE,
+        channel: int = 0,
+    ) -> None:
         self.sequence = tunnel.following(self.sequence)
         message.values.setdefault("sequence", self.sequence)
-        self.send_bytes(message.pack(), system=system, component=component)
+        message.values.setdefault("instance", instance)
+        self.send_bytes(message.pack(), system=system, component=component, channel=channel)
 
-    def send_bytes(self, data: bytes, *, system: int = SYSTEM, component: int = COMPANION_COMPONENT) -> None:
+    def send_bytes(
+        self, data: bytes, *, system: int = SYSTEM, component: int = COMPANION_COMPONENT, channel: int = 0
+    ) -> None:
         codec = Codec(system, component)
         frame = codec.pack(tunnel.wrap(data, (SYSTEM, 1)))
         for received in self._at_autopilot.parse(frame):
-            self.autopilot.receive(received, 0)
+            self.autopilot.receive(received, channel)
 
     def fly(self, seconds: float) -> None:
         for _ in range(round(seconds * AUTOPILOT_RATE_HZ)):
             self.autopilot.step()
-            for _channel, message in self.autopilot.outgoing():
+            for channel, message in self.autopilot.outgoing():
                 if message.get_type() == "TUNNEL":
                     inner = tunnel.unwrap(message)
                     assert inner is not None
                     self.heard.append(inner)
+                    self.told.append((channel, message.target_component, inner))
             self.fleet.step()
 
     # -- messages -----------------------------------------------------------------------------------------------
 
-    def heartbeat(self) -> None:
-        self.send(TunnelMessage(Kind.HEARTBEAT, {"mode": 1}))
+    def heartbeat(self, **sender: int) -> None:
+        self.send(TunnelMessage(Kind.HEARTBEAT, {}), **sender)
 
-    def declare(self, mask: int, *, age_ms: int = 5) -> None:
-        self.send(TunnelMessage(Kind.DECLARATION, {"sample_ms": self.now_ms - age_ms, "failed": mask}))
+    def declare(self, mask: int, *, age_ms: int = 5, values: dict[str, int] | None = None, **sender: int) -> None:
+        fields = {"sample_ms": self.now_ms - age_ms, "failed": mask, **(values or {})}
+        self.send(TunnelMessage(Kind.DECLARATION, fields), **sender)
+
+    def table(self, mask: int, factors: np.ndarray) -> None:
+        self.send(TunnelMessage(Kind.TABLE, {"failed": mask}, factors))
+
+    def release(self, *, leaving: bool = False, **sender: int) -> None:
+        flags = tunnel.LEAVING if leaving else 0
+        self.send(TunnelMessage(Kind.RELEASE, {"sample_ms": self.now_ms - 5, "flags": flags}), **sender)
 
     def matrix(self, mask: int, factors: np.ndarray, *, timeout_ms: int = 500, age_ms: int = 5, **extra: int) -> None:
         values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, "failed": mask, "flags": 0, **extra}

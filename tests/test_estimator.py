@@ -44,7 +44,7 @@ def test_what_was_handed_out_never_changes_afterwards(octo: Vehicle, flight: str
     state = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
     kept = []
     for measurement in rest:
-        state, estimate = estimator.advance(state, measurement)
+        state, estimate = estimator.step(state, measurement)
         kept.append((arrays(estimate), {name: value.copy() for name, value in arrays(estimate).items()}))
     assert any(given["failed"].any() for given, _ in kept), "a motor is declared"
     for given, copied in kept:
@@ -59,19 +59,5 @@ def test_what_is_given_is_not_written_to(octo: Vehicle) -> None:
     for measurement in rest:
         for array in (measurement.gyro, measurement.specific_force, measurement.command):
             array.flags.writeable = False
-        state, _ = estimator.advance(state, measurement)
+        state, _ = estimator.step(state, measurement)
     assert state.decision.failed.sum() == 1
-
-
-def test_a_measurement_and_its_fields_one_by_one_are_the_same_step(octo: Vehicle) -> None:
-    estimator = Estimator(octo, DT)
-    first, *rest = measurements(octo, "hover")
-    one = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
-    other = estimator.start(first.time_s, first.gyro, first.specific_force, first.command)
-    for m in rest[:300]:
-        one, by_measurement = estimator.advance(one, m)
-        other, by_fields = estimator.step(
-            other, m.time_s, m.gyro, m.specific_force, m.command, m.dt_s, m.stopped, m.motion, m.allocation_norm
-        )
-        np.testing.assert_array_equal(by_measurement.residual, by_fields.residual)
-        np.testing.assert_array_equal(by_measurement.effectiveness, by_fields.effectiveness)

@@ -15,7 +15,7 @@ from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage, unpac
 from nff_companion.errors import TunnelError
 from nff_companion.mavlink.codec import Codec
 
-_BYTES = {"mode": 255, "flags": 255, "motors": 12, "source": 3, "tables": 255}
+_BYTES = {"flags": 255, "motors": 12, "source": 3, "tables": 255}
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,20 @@ def test_lua_packs_and_reads_what_python_does(kind: Kind, lua) -> None:
         assert protocol[b"check"](data) == tunnel.check(data)
 
 
+def test_both_give_a_table_and_all_tables_the_same_check(lua, rng: np.random.Generator) -> None:
+    _, protocol = lua
+    tables = {int(mask): rng.bytes(64) for mask in rng.permutation(200)[:36]}
+    each = {mask: protocol[b"table_check"](mask, table) for mask, table in tables.items()}
+    assert each == {mask: tunnel.table_check(mask, table) for mask, table in tables.items()}
+    together = tunnel.tables_check(tables)
+    assert together == sum(check for mask, check in each.items() if mask) % protocol[b"CHECKS"]
+    assert tunnel.tables_check(dict(reversed(tables.items()))) == together
+    first, second = [mask for mask in tables if mask][:2]
+    swapped = {**tables, first: tables[second], second: tables[first]}
+    assert tunnel.tables_check(swapped) != together, "which motors a table is for counts"
+    assert tunnel.tables_check({**tables, 0: b"another"}) == together, "the stock one has a check of its own"
+
+
 def test_every_message_fits_for_twelve_motors() -> None:
     for kind in Kind:
         message = example(kind, random.Random(3))
@@ -84,7 +98,7 @@ def test_every_message_fits_for_twelve_motors() -> None:
 
 def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
     _, protocol = lua
-    good = TunnelMessage(Kind.DECLARATION, {"sequence": 1, "sample_ms": 5, "failed": 1}).pack()
+    good = TunnelMessage(Kind.DECLARATION, {"sequence": 1, "instance": 9, "sample_ms": 5, "failed": 1}).pack()
 
     def sealed(body: bytes) -> bytes:
         return body + struct.pack("<HB", tunnel.check(body), 0xA5)
@@ -92,7 +106,7 @@ def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
     for bad, reason in (
         (good[:-1], "end mark"),
         (good[:-1] + b"\0", "end mark"),
-        (sealed(b"\x02" + good[1:-3]), "version 2"),
+        (sealed(b"\x01" + good[1:-3]), "version 1, expected 2: install the applet of this release"),
         (sealed(good[:1] + b"\x63" + good[2:-3]), "kind 99"),
         (sealed(good[:4]), "at least"),
         (sealed(good[:-3] + b"\x01"), "carries 1 bytes"),
@@ -106,7 +120,7 @@ def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
 
 def test_no_single_flipped_bit_gets_through(lua) -> None:
     _, protocol = lua
-    good = TunnelMessage(Kind.DECLARATION, {"sequence": 7, "sample_ms": 12345, "failed": 4}).pack()
+    good = TunnelMessage(Kind.DECLARATION, {"sequence": 7, "instance": 3, "sample_ms": 12345, "failed": 4}).pack()
     for bit in range(8 * len(good)):
         bad = bytearray(good)
         bad[bit // 8] ^= 1 << bit % 8

@@ -46,9 +46,10 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """Drop the matrix; declarations stay, outputs expire by themselves."""
+    """Drop the matrix; declarations stay, outputs expire by themselves. ``leaving``: nothing more will be said."""
 
     time_s: float
+    leaving: bool = False
 
 
 Command = Declare | Load | Drive | Release
@@ -135,6 +136,6 @@ def by_the_operator(state: ScheduleState) -> ScheduleState:
     return replace(state, word=True, told_s=-np.inf)
 
 
-def released(state: ScheduleState, time_s: float) -> tuple[ScheduleState, list[Command]]:
-    """The vehicle is given back: at the end, or when the operator chooses to observe."""
-    return replace(state, plan=None, plan_s=-np.inf), [Release(time_s)]
+def released(state: ScheduleState, time_s: float, *, leaving: bool = False) -> tuple[ScheduleState, list[Command]]:
+    """The vehicle is given back: at the end (``leaving``), or when the operator chooses to observe."""
+    return replace(state, plan=None, plan_s=-np.inf), [Release(time_s, leaving)]

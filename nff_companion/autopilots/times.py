@@ -11,6 +11,14 @@ OWNER_LOST_S = 1.0  # and another companion may take its place
 STOP_S = 0.02  # a stopped motor's channel is held this long, and renewed at each run
 APPLIED_INTERVAL_S = 0.05  # between two words of what is in force
 
+# The applet and its watchdog, each of the other. A late run: the watchdog may have put its own factors in force.
+APPLET_LATE_S = 0.2
+APPLET_DEAD_S = 0.3
+WATCHDOG_SILENT_S = 0.5
+WATCHDOG_CALM_S = 0.05  # between two looks
+WATCHDOG_ACTIVE_S = 0.01  # while it holds motors stopped
+WATCHDOG_STOP_S = 0.03
+
 # What the companion does.
 DECLARATION_INTERVAL_S = 0.05  # an unconfirmed declaration is told again
 MATRIX_INTERVAL_S = 0.05

@@ -8,14 +8,33 @@ from pathlib import Path
 import numpy as np
 
 from nff_companion.allocation import allocator, tables
+from nff_companion.autopilots import times
 from nff_companion.autopilots.ardupilot import checks, factors
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError
 
 SCRIPTS = ("nff_companion.lua", "nff_watchdog.lua")
-MODULES = ("nff_protocol.lua",)
+MODULES = ("nff_protocol.lua", "nff_mixer.lua", "nff_commands.lua")
 AIRFRAME = "nff_airframe.lua"
+TIMES = "nff_times.lua"
 PARAMETERS = "nff_companion.parm"
+# Of times.py, in whole milliseconds: what the applet and its watchdog go by.
+APPLET_TIMES = {
+    "MATRIX_TIMEOUT_MAX": times.MATRIX_TIMEOUT_MAX_S,
+    "OVERRIDE_TIMEOUT": times.OVERRIDE_TIMEOUT_S,
+    "STALE": times.STALE_S,
+    "EARLY": times.EARLY_S,
+    "LINK_LOST": times.LINK_LOST_S,
+    "OWNER_LOST": times.OWNER_LOST_S,
+    "STOP": times.STOP_S,
+    "APPLIED_INTERVAL": times.APPLIED_INTERVAL_S,
+    "APPLET_LATE": times.APPLET_LATE_S,
+    "APPLET_DEAD": times.APPLET_DEAD_S,
+    "WATCHDOG_SILENT": times.WATCHDOG_SILENT_S,
+    "WATCHDOG_CALM": times.WATCHDOG_CALM_S,
+    "WATCHDOG_ACTIVE": times.WATCHDOG_ACTIVE_S,
+    "WATCHDOG_STOP": times.WATCHDOG_STOP_S,
+}
 
 
 def _source(*parts: str) -> bytes:
@@ -41,6 +60,13 @@ def airframe_module(vehicle: Vehicle, rows: dict[int, np.ndarray]) -> str:
         text = "".join(f"\\x{byte:02x}" for byte in np.ascontiguousarray(table, "<i2").tobytes())
         lines.append(f'    [{mask}] = "{text}",')
     return "\n".join([*lines, "  },", "}", ""])
+
+
+def times_module() -> str:
+    """Lua module with the times of the protocol, in ms."""
+    lines = ["-- Times of the protocol: written by `nff ardupilot install` from times.py", "return {"]
+    lines += [f"  {name}_MS = {round(1e3 * seconds)}," for name, seconds in APPLET_TIMES.items()]
+    return "\n".join([*lines, "}", ""])
 
 
 def parameter_file(vehicle: Vehicle, *, scripted: bool) -> str:
@@ -69,6 +95,7 @@ def install(vehicle: Vehicle, folder: Path, *, scripted: bool = True, method: st
     files.update({folder / "modules" / name: _source("modules", name) for name in MODULES})
     module = airframe_module(vehicle, factors.of_plans(vehicle, plans))
     files[folder / "modules" / AIRFRAME] = module.encode()
+    files[folder / "modules" / TIMES] = times_module().encode()
     files[folder / PARAMETERS] = parameter_file(vehicle, scripted=scripted).encode()
     try:
         (folder / "modules").mkdir(parents=True, exist_ok=True)

@@ -1,30 +1,36 @@
 """What goes through TUNNEL between the companion and the applet; ``lua/modules/nff_protocol.lua`` is its twin.
 
-Little endian. Every message: version u8 (1), kind u8, the fields below, what repeats, check u16 over all before it
+Little endian. Every message: version u8 (2), kind u8, the fields below, what repeats, check u16 over all before it
 (ArduPilot hands frames with a wrong CRC to scripts too), end mark u8 (0xA5: MAVLink 2 cuts trailing zeros). Sequence
-numbers are u16 and wrap; ``sample_ms`` is the time since the autopilot's boot of the telemetry sample that a command
-answers.
+numbers are u16 and wrap; ``instance`` is drawn by each companion at its start and never 0; ``sample_ms`` is the time
+since the autopilot's boot of the telemetry sample that a command answers.
 
 | kind | to | fields |
 |---|---|---|
-| 1 HEARTBEAT | autopilot | sequence u16, mode u8 |
-| 2 TABLE | autopilot | sequence u16, failed u16, flags u8, motors u8, factors |
-| 3 DECLARATION | autopilot | sequence u16, sample_ms u32, failed u16 |
-| 4 MATRIX | autopilot | sequence u16, sample_ms u32, timeout_ms u16, failed u16, flags u8, motors u8, factors |
-| 5 RELEASE | autopilot | sequence u16, sample_ms u32 |
-| 6 OVERRIDE | autopilot | sequence u16, sample_ms u32, timeout_ms u16, motors u8, pwm |
-| 129 APPLIED | companion | sequence u16, time_ms u32, boot_ms u32, declaration u16, matrix u16 and override u16 |
-|     |           | sequence, failed u16, source u8, flags u8, motors u8, tables u8, accepted u16, refused u16 [7] |
+| 1 HEARTBEAT | autopilot | sequence u16, instance u16 |
+| 2 TABLE | autopilot | sequence u16, instance u16, failed u16, motors u8, factors |
+| 3 DECLARATION | autopilot | sequence u16, instance u16, sample_ms u32, failed u16 |
+| 4 MATRIX | autopilot | sequence u16, instance u16, sample_ms u32, timeout_ms u16, failed u16, flags u8, motors u8, |
+|     |           | factors |
+| 5 RELEASE | autopilot | sequence u16, instance u16, sample_ms u32, flags u8 |
+| 6 OVERRIDE | autopilot | sequence u16, instance u16, sample_ms u32, timeout_ms u16, motors u8, pwm |
+| 129 APPLIED | companion | sequence u16, time_ms u32, boot_ms u32, owner u16, declaration u16, matrix u16 and |
+|     |           | override u16 sequence, failed u16, source u8, flags u8, motors u8, tables u8, stock_check u16, |
+|     |           | tables_check u16, table u16, table_check u16, accepted u16, refused u16 [9] |
 | 130 STORED | companion | sequence u16, failed u16, check u16 |
 
 ``failed`` is a mask, bit 0 motor 1. ``factors`` are i16 [motors][4], 1/4096 of ArduPilot's mixer units, columns
-throttle, roll, pitch, yaw; ``pwm`` is u16 [motors] in microseconds, 0: left to the mixer. Flags of TABLE and MATRIX:
-1 yaw given up; of APPLIED: :class:`Flag`. Source: 0 stock, 1 declaration, 2 matrix, 3 override. Refused: `REFUSALS`.
+throttle, roll, pitch, yaw; ``pwm`` is u16 [motors] in microseconds, 0: left to the mixer. Flags of MATRIX: 1 yaw given
+up; of RELEASE: 1 the companion leaves; of APPLIED: :class:`Flag`. Source: 0 stock, 1 declaration, 2 matrix,
+3 override. ``owner``: the instance that is obeyed, 0 nobody. ``stock_check``: of the table of no failure;
+``tables_check``: of all others together, once Flag.CHECKED is set; ``table`` and ``table_check``: one of them, another
+in each message. Refused: `REFUSALS`.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -33,16 +39,19 @@ import numpy as np
 from nff_companion.errors import TunnelError
 from nff_companion.mavlink.codec import Message, dialect
 
-VERSION = 1
+VERSION = 2
 TO_AUTOPILOT, TO_COMPANION = 54100, 54101
 FACTOR_SCALE = 4096
 FACTOR_MAX = 32767 / FACTOR_SCALE
-REFUSALS = ("range", "format", "stale", "replay", "dimension", "disarmed", "unsupported")
+REFUSALS = ("range", "format", "stale", "replay", "dimension", "disarmed", "unsupported", "armed", "occupied")
+YAW_RELEASED = 1  # flag of MATRIX
+LEAVING = 1  # flag of RELEASE
 _END = 0xA5
 _TAIL = 3  # check and end mark
 _PAYLOAD = 128
 _MILLISECONDS = 2**31  # integers of the applet have 32 bits, and a sign
 _SEQUENCES = 2**16
+_CHECKS = 65521  # prime
 
 
 class Kind(IntEnum):
@@ -65,21 +74,24 @@ class Flag(IntEnum):
     MATRIX = 2
     WATCHDOG = 4
     LINK = 8
+    YAW_RELEASED = 16  # of the matrix in force
+    CHECKED = 32  # tables_check is complete
 
 
 _LAYOUTS: dict[Kind, tuple[str, tuple[str, ...]]] = {
-    Kind.HEARTBEAT: ("HB", ("sequence", "mode")),
-    Kind.TABLE: ("HHBB", ("sequence", "failed", "flags", "motors")),
-    Kind.DECLARATION: ("HIH", ("sequence", "sample_ms", "failed")),
-    Kind.MATRIX: ("HIHHBB", ("sequence", "sample_ms", "timeout_ms", "failed", "flags", "motors")),
-    Kind.RELEASE: ("HI", ("sequence", "sample_ms")),
-    Kind.OVERRIDE: ("HIHB", ("sequence", "sample_ms", "timeout_ms", "motors")),
+    Kind.HEARTBEAT: ("HH", ("sequence", "instance")),
+    Kind.TABLE: ("HHHB", ("sequence", "instance", "failed", "motors")),
+    Kind.DECLARATION: ("HHIH", ("sequence", "instance", "sample_ms", "failed")),
+    Kind.MATRIX: ("HHIHHBB", ("sequence", "instance", "sample_ms", "timeout_ms", "failed", "flags", "motors")),
+    Kind.RELEASE: ("HHIB", ("sequence", "instance", "sample_ms", "flags")),
+    Kind.OVERRIDE: ("HHIHB", ("sequence", "instance", "sample_ms", "timeout_ms", "motors")),
     Kind.APPLIED: (
-        "HIIHHHHBBBBH7H",
+        "HIIHHHHHBBBBHHHHH9H",
         (
             "sequence",
             "time_ms",
             "boot_ms",
+            "owner",
             "declaration_sequence",
             "matrix_sequence",
             "override_sequence",
@@ -88,6 +100,10 @@ _LAYOUTS: dict[Kind, tuple[str, tuple[str, ...]]] = {
             "flags",
             "motors",
             "tables",
+            "stock_check",
+            "tables_check",
+            "table",
+            "table_check",
             "accepted",
             *REFUSALS,
         ),
@@ -115,7 +131,7 @@ class TunnelMessage:
             if self.factors is None:
                 raise TunnelError(f"{self.kind.name} has no factors")
             values.setdefault("motors", len(self.factors))
-            rest = np.ascontiguousarray(self.factors, "<i2").tobytes()
+            rest = table_bytes(self.factors)
         elif self.kind == Kind.OVERRIDE:
             if self.pwm is None:
                 raise TunnelError("OVERRIDE has no pwm")
@@ -177,8 +193,23 @@ def check(data: bytes) -> int:
     """Sum over bytes that shows changes on the way, and tells tables apart."""
     total = 1
     for byte in data:
-        total = (total * 31 + byte) % 65521
+        total = (total * 31 + byte) % _CHECKS
     return total
+
+
+def table_bytes(table: np.ndarray) -> bytes:
+    """Bytes of factors (m, 4) int16, as they are stored."""
+    return np.ascontiguousarray(table, "<i2").tobytes()
+
+
+def table_check(failed: int, table: bytes) -> int:
+    """Of one table and the mask that it is for: multiplied, so that two tables that change places are seen."""
+    return check(table) * (failed + 1) % _CHECKS
+
+
+def tables_check(tables: Mapping[int, bytes]) -> int:
+    """Of all tables by failed mask, but that of no failure; in any order, so that one can be replaced."""
+    return sum(table_check(failed, table) for failed, table in tables.items() if failed) % _CHECKS
 
 
 def milliseconds(time_s: float) -> int:

@@ -23,6 +23,7 @@ from sitl.trials.fly.arducopter import FlyOptions, Simulator, companion_port, ta
 from sitl.trials.fly.pilot import FlightError, Pilot
 
 _TARGET = (1, 1)
+_INSTANCE = 1  # the only companion
 _LISTEN_S = 3.0
 _ANSWER_S = 2.0
 _SETTLE_S = 0.4
@@ -74,14 +75,15 @@ class _Line:
     def declare(self, mask: int) -> int:
         """Send a declaration; its sequence number."""
         self.sequence = tunnel.following(self.sequence)
-        values = {"sequence": self.sequence, "sample_ms": self.outputs_ms, "failed": mask}
+        values = {"sequence": self.sequence, "instance": _INSTANCE, "sample_ms": self.outputs_ms, "failed": mask}
         self.send(tunnel.wrap(TunnelMessage(Kind.DECLARATION, values).pack(), _TARGET))
         return self.sequence
 
     def heartbeat(self) -> None:
         """The applet's, and MAVLink's."""
         self.sequence = tunnel.following(self.sequence)
-        self.send(tunnel.wrap(TunnelMessage(Kind.HEARTBEAT, {"sequence": self.sequence, "mode": 1}).pack(), _TARGET))
+        values = {"sequence": self.sequence, "instance": _INSTANCE}
+        self.send(tunnel.wrap(TunnelMessage(Kind.HEARTBEAT, values).pack(), _TARGET))
 
 
 def measure(binary: Path, rates_hz: list[float], count: int) -> dict[str, Any]:
@@ -101,7 +103,7 @@ def measure(binary: Path, rates_hz: list[float], count: int) -> dict[str, Any]:
             line = _Line(open_endpoint(f"tcp:127.0.0.1:{companion_port(options)}"))
             try:
                 for rate in rates_hz:
-                    streams = ArduPilotAdapter(vehicle, _TARGET, {}).streams(rate)
+                    streams = ArduPilotAdapter(vehicle, _TARGET, {}, _INSTANCE).streams(rate)
                     for stream in streams:
                         line.send(interval(stream, _TARGET))
                     rows.append(_at_rate(line, pilot, vehicle.motors, rate, count))

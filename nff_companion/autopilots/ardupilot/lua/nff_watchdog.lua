@@ -2,9 +2,9 @@
 -- failed, or the stock ones; and keeps the failed motors stopped. Ends its intervention when the applet runs again.
 
 local P = require("nff_protocol")
+local T = require("nff_times")
 local airframe = require("nff_airframe")
 
-local DEAD_MS, CALM_MS, ACTIVE_MS, STOP_MS = 300, 50, 10, 30
 local TEXT_CRITICAL = 2
 local motors = airframe.motors
 local alive, failed, watch = nil, nil, nil
@@ -42,7 +42,7 @@ local function run()
     active = false
     return
   end
-  if now - last_change_ms < DEAD_MS then
+  if now - last_change_ms < T.APPLET_DEAD_MS then
     return
   end
   local mask = arming:is_armed() and math.floor(failed:get() or 0) or 0
@@ -57,7 +57,7 @@ local function run()
     if (mask >> (motor - 1)) & 1 == 1 then
       local channel = SRV_Channels:find_channel((motor <= 8 and 32 or 73) + motor)
       if channel then
-        SRV_Channels:set_output_pwm_chan_timeout(channel, airframe.pwm_min, STOP_MS)
+        SRV_Channels:set_output_pwm_chan_timeout(channel, airframe.pwm_min, T.WATCHDOG_STOP_MS)
       end
     end
   end
@@ -71,7 +71,7 @@ function update()
       gcs:send_text(TEXT_CRITICAL, "NFF watchdog: " .. tostring(message))
     end
   end
-  return update, active and ACTIVE_MS or CALM_MS
+  return update, active and T.WATCHDOG_ACTIVE_MS or T.WATCHDOG_CALM_MS
 end
 
 return update, 1000

@@ -4,37 +4,42 @@
 
 local P = {}
 
-P.VERSION = 1
+P.VERSION = 2
 P.TUNNEL = 385
 P.TO_AUTOPILOT = 54100
 P.TO_COMPANION = 54101
 P.FACTOR_SCALE = 4096
 P.END = 0xA5
+P.CHECKS = 65521 -- checks are below this prime
+P.YAW_RELEASED, P.LEAVING = 1, 1 -- flags of MATRIX, and of RELEASE
 
 P.HEARTBEAT, P.TABLE, P.DECLARATION, P.MATRIX, P.RELEASE, P.OVERRIDE = 1, 2, 3, 4, 5, 6
 P.APPLIED, P.STORED = 129, 130
 
-P.REFUSALS = { "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported" }
+P.REFUSALS = {
+  "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported", "armed", "occupied",
+}
 
 local TUNNEL_PAYLOAD = 128
 local HEAD = 12 -- bytes of mavlink_message_t before its payload
 
 -- fixed part after version and kind; field names in order; what repeats after it, and how often
 local LAYOUT = {
-  [P.HEARTBEAT] = { "<HB", { "sequence", "mode" } },
-  [P.TABLE] = { "<HHBB", { "sequence", "failed", "flags", "motors" }, "factors", "i2", 4 },
-  [P.DECLARATION] = { "<HI4H", { "sequence", "sample_ms", "failed" } },
+  [P.HEARTBEAT] = { "<HH", { "sequence", "instance" } },
+  [P.TABLE] = { "<HHHB", { "sequence", "instance", "failed", "motors" }, "factors", "i2", 4 },
+  [P.DECLARATION] = { "<HHI4H", { "sequence", "instance", "sample_ms", "failed" } },
   [P.MATRIX] = {
-    "<HI4HHBB", { "sequence", "sample_ms", "timeout_ms", "failed", "flags", "motors" }, "factors", "i2", 4,
+    "<HHI4HHBB", { "sequence", "instance", "sample_ms", "timeout_ms", "failed", "flags", "motors" }, "factors", "i2", 4,
   },
-  [P.RELEASE] = { "<HI4", { "sequence", "sample_ms" } },
-  [P.OVERRIDE] = { "<HI4HB", { "sequence", "sample_ms", "timeout_ms", "motors" }, "pwm", "I2", 1 },
+  [P.RELEASE] = { "<HHI4B", { "sequence", "instance", "sample_ms", "flags" } },
+  [P.OVERRIDE] = { "<HHI4HB", { "sequence", "instance", "sample_ms", "timeout_ms", "motors" }, "pwm", "I2", 1 },
   [P.APPLIED] = {
-    "<HI4I4HHHHBBBBHHHHHHHH",
+    "<HI4I4HHHHHBBBBHHHHHHHHHHHHHH",
     {
-      "sequence", "time_ms", "boot_ms", "declaration_sequence", "matrix_sequence", "override_sequence", "failed",
-      "source", "flags", "motors", "tables", "accepted",
-      "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported",
+      "sequence", "time_ms", "boot_ms", "owner", "declaration_sequence", "matrix_sequence", "override_sequence",
+      "failed", "source", "flags", "motors", "tables", "stock_check", "tables_check", "table", "table_check",
+      "accepted",
+      "range", "format", "stale", "replay", "dimension", "disarmed", "unsupported", "armed", "occupied",
     },
   },
   [P.STORED] = { "<HHH", { "sequence", "failed", "check" } },
@@ -44,9 +49,15 @@ local LAYOUT = {
 function P.check(data)
   local sum = 1
   for i = 1, #data do
-    sum = (sum * 31 + data:byte(i)) % 65521
+    sum = (sum * 31 + data:byte(i)) % P.CHECKS
   end
   return sum
+end
+
+-- The same of one table and the mask (of at most 12 motors) that it is for: multiplied, so that two tables that change
+-- places are seen. The check of all tables is the sum of these, modulo P.CHECKS.
+function P.table_check(failed, factors)
+  return P.check(factors) * (failed + 1) % P.CHECKS
 end
 
 -- Fields of one message as a string.
