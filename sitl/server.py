@@ -13,6 +13,7 @@ import numpy as np
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.endpoint import Endpoint, open_endpoint
 from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
+from sitl.autopilot.nff_port import NffPort
 from sitl.commands import Commander, whole, within
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.link_model import LinkModel, LinkOptions
@@ -64,6 +65,7 @@ class Server:
         self.fleet = fleet
         self.telemetry = Telemetry(fleet)
         self._commander = Commander(fleet, self.telemetry, system)
+        self._port = NffPort(fleet)
         options = link or LinkOptions()
         self._clients = [
             _Client(
@@ -173,13 +175,12 @@ class Server:
             "SET_POSITION_TARGET_LOCAL_NED": self._position_target,
             "MISSION_REQUEST_LIST": self._mission_list,
             "TUNNEL": self._tunnel,
-            "NFF_ALLOCATION_MATRIX": self._matrix,
-            "NFF_ACTUATOR_OVERRIDE": self._override,
-            "NFF_MOTOR_DECLARATION": self._declaration,
         }
         handler = handlers.get(message.get_type())
         if handler is not None:
             handler(client, message)
+        elif self._port.take(message) and message.get_type() == "NFF_MOTOR_DECLARATION":
+            self._reply(client, self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]())
 
     def _count(self, message: Message, result: int) -> None:
         if result != dialect.MAV_RESULT_ACCEPTED:
@@ -256,54 +257,3 @@ class Server:
     def _tunnel(self, client: _Client, message: Message) -> None:
         if self.personality is not None:
             self.personality.receive(message, self._clients.index(client))
-
-    # -- the companion's commands -------------------------------------------------------------------------------
-
-    def _sample_s(self, message: Message) -> float:
-        """Time of the sample that a command answers, on the fleet's clock."""
-        offset = self.telemetry.time_usec - 1e6 * self.fleet.time_s
-        return float(1e-6 * (message.sample_usec - offset))
-
-    def _matrix(self, client: _Client, message: Message) -> None:
-        port = self.fleet.autopilot.ports[0]
-        axes, motors = message.axes, message.motors
-        values = np.array(message.factors, float)
-        matrix = values[: axes * motors].reshape(motors, axes) if axes * motors <= len(values) else np.zeros((0, 0))
-        port.receive_matrix(
-            matrix,
-            sequence=message.sequence,
-            timeout_s=1e-3 * message.timeout_ms,
-            valid=bool(message.valid),
-            sample_s=self._sample_s(message),
-            now_s=self.fleet.time_s,
-        )
-        self.fleet.autopilot.port_changed()
-
-    def _override(self, client: _Client, message: Message) -> None:
-        port = self.fleet.autopilot.ports[0]
-        port.receive_override(
-            np.array(message.outputs[: message.motors], float),
-            sequence=message.sequence,
-            timeout_s=1e-3 * message.timeout_ms,
-            armed=bool(self.fleet.autopilot.armed[0]),
-            sample_s=self._sample_s(message),
-            now_s=self.fleet.time_s,
-        )
-        self.fleet.autopilot.port_changed()
-
-    def _declaration(self, client: _Client, message: Message) -> None:
-        motors = self.fleet.parameters.motors
-        failed = ((message.failed_mask >> np.arange(motors)) & 1).astype(bool)
-        port = self.fleet.autopilot.ports[0]
-        if message.failed_mask >> motors:
-            failed = np.zeros(0, bool)  # names motors that are not there: refused as a wrong dimension
-        port.receive_declaration(
-            failed,
-            armed=bool(self.fleet.autopilot.armed[0]),
-            sequence=message.sequence,
-            sample_s=self._sample_s(message),
-            now_s=self.fleet.time_s,
-        )
-        self.fleet.autopilot.port_changed()
-        maker = self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]
-        self._reply(client, maker())

@@ -52,12 +52,16 @@ class Desk:
         self._waiting: list[bytes] = []
         self._heard: list[Message] = []
 
-    def receive(self) -> list[bytes]:
+    def receive(self) -> list[tuple[bytes, None]]:
         waiting, self._waiting = self._waiting, []
-        return waiting
+        return [(data, None) for data in waiting]
 
-    def send(self, data: bytes) -> None:
+    def answer(self, sender: None) -> None:
+        """There is one to answer."""
+
+    def send(self, data: bytes) -> bool:
         self._heard += self._parser.parse(data)
+        return True
 
     def close(self) -> None:
         self._waiting = []

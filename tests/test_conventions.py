@@ -9,7 +9,6 @@ import socket
 import time
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -324,11 +323,9 @@ def test_a_bound_may_be_set_although_the_wire_rounds_it(server: ParameterServer,
 
 @pytest.mark.parametrize(("name", "value"), [("NFF_LOSS_SLOW", 0.4), ("NFF_FAILED_MAX", 2.5), ("NFF_MODE", 0.5)])
 def test_a_threshold_at_odds_with_another_or_not_whole_is_answered_with_the_one_that_stays(
-    server: ParameterServer, pipeline: Pipeline, name: str, value: float
+    server: ParameterServer, chosen: Settings, name: str, value: float
 ) -> None:
-    options = pipeline.options.estimator
-    decision = msgspec.structs.replace(options.decision, loss_others=0.5)
-    assert pipeline.retune(msgspec.structs.replace(options, decision=decision))
+    chosen.tuning = chosen.tuning.having("decision", loss_others=0.5)
     (before,) = ask(server, dialect.MAVLink_param_request_read_message(1, 191, name.encode(), -1))
     (answer,) = put(server, name, value)
     assert answer.param_value == before.param_value

@@ -174,7 +174,7 @@ def test_the_adapted_matrix_learns_a_lost_motor_and_begins_anew(octo: Vehicle) -
     state, nominal = adapted.allocation(adapted.start(), np.zeros((8, 4)))
     lost = -0.5 * octo.acceleration_effectiveness[:, 2] * octo.hover
     for _ in range(200):
-        state = adapted.step(state, SimpleNamespace(weight=np.full(8, octo.hover), raw=lost), 0.005)
+        state = adapted.step(state, SimpleNamespace(thrust_shown=np.full(8, octo.hover), raw=lost), 0.005)
     _, learnt = adapted.allocation(state, nominal)
     assert not np.allclose(learnt, nominal)
     np.testing.assert_allclose(adapted.allocation(adapted.start(), np.zeros((8, 4)))[1], nominal)
