@@ -6,7 +6,7 @@ STAMP := .venv/.ready
 # Without byte code the daemon would compile the dialect at each start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env demo test lint bench lock train-env train-test clean
+.PHONY: env demo test unit lint bench lock train-env train-test clean
 
 env: $(STAMP)
 
@@ -24,6 +24,10 @@ lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The quick tests alone: what neither flies nor waits.
+unit: env
+	$(BIN)/python -m pytest tests/unit -n 2 --dist worksteal
 
 test: lint
 	$(BIN)/python -m pytest -m realtime

@@ -1,7 +1,7 @@
 """Seven flights whose outputs are kept: what the companion was given, and what it made of it.
 
 ``python tests/golden/flights.py`` flies them (closed loop, the emulated vehicle) and writes ``*.npz`` beside this file;
-``tests/test_golden.py`` gives the recorded samples to the companion again and compares. Inputs are kept in 32 bits, as
+``tests/unit/test_golden.py`` gives the recorded samples to the companion again. Inputs are kept in 32 bits, as
 telemetry carries them, so that a replay sees the very numbers of the recording.
 """
 

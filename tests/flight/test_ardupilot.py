@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from realtime import Flying, wait_for
+from flying import Flying, wait_for
 
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.core import vehicle

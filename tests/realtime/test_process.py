@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from realtime import wait_for
+from flying import wait_for
 
 from sitl.trials import launch
 from sitl.trials.process import DaemonProcess, config_text, free_port, start

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from nff_companion.mavlink.codec import Codec, dialect
 
-XML = Path(__file__).parents[1] / "mavlink_dialect" / "nff.xml"
+XML = Path(__file__).parents[2] / "mavlink_dialect" / "nff.xml"
 MESSAGES = ElementTree.parse(XML).getroot().findall("messages/message")
 
 
@@ -47,7 +47,7 @@ def test_esc_telemetry_is_that_of_ardupilotmega() -> None:
 
 
 def test_golden_bytes_of_every_private_message() -> None:
-    golden = (Path(__file__).parent / "data" / "golden_frames.txt").read_text(encoding="ascii").split("\n")
+    golden = (Path(__file__).parents[1] / "data" / "golden_frames.txt").read_text(encoding="ascii").split("\n")
     expected = dict(line.split(" ") for line in golden if line)
     made = {name: Codec(1, 191).pack(message).hex() for name, message in examples().items()}
     assert made == expected

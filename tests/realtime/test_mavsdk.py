@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from realtime import Flying, wait_for
+from flying import Flying, wait_for
 
 from nff_companion.core import vehicle
 from sitl import airframe

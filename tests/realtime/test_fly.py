@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from realtime import Flying
+from flying import Flying
 from typer.testing import CliRunner
 
 from nff_companion.cli.main import app

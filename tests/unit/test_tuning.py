@@ -16,7 +16,7 @@ from nff_companion.core.tuning.span import Field, check_fields, fields
 from nff_companion.daemon import configuration, document
 from nff_companion.errors import ConfigError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FIELDS = fields(Tuning)
 HEAD = '[link]\nendpoint = "udpin:127.0.0.1:14561"\n[vehicle]\nairframe = "octo-x"\n'
 # Files whose numbers are those of the table. Guards of rounding and of solvers may stay.

@@ -20,7 +20,7 @@ from sitl.serve.physics import Physics, PhysicsOptions
 from sitl.serve.px4_hil import Px4Server, outputs_of, pressure_hpa
 from sitl.trials.process import free_port
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 
 
 def physics(name: str = "octo-x", faults: list[Fault] | None = None, **options) -> Physics:

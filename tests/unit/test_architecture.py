@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 GENERATED = "nff.py"
 PURE = ("core", "allocation", "control")
 PURE_FILES = ("admission.py", "companion.py", "companion_state.py", "condition.py", "verdict.py")

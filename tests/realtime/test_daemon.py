@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from realtime import Flying, wait_for
+from flying import Flying, wait_for
 
 from nff_companion.core import vehicle
 from nff_companion.daemon.configuration import load
@@ -26,7 +26,7 @@ from sitl.fleet import Fleet
 from sitl.trials.demo import DemoOptions, Recorder, make_fleet
 from sitl.trials.process import DaemonProcess, config_text, free_port
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def write_config(folder: Path, port: int, mode: str = "allocate", airframe: str = "octo-x") -> Path:

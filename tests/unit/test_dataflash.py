@@ -12,7 +12,7 @@ from nff_companion.errors import LogError
 from nff_companion.replay.run import rate_of, read, replay
 from nff_companion.training.dataset import record
 
-LOG = Path(__file__).parent / "data" / "arducopter.bin"
+LOG = Path(__file__).parents[1] / "data" / "arducopter.bin"
 
 
 def test_a_log_gives_samples_with_state_and_motor_outputs() -> None:
