@@ -79,8 +79,8 @@ class Decision:
         """The hypothesis that explains the windows best, None when none improves enough."""
         o = self.tuning
         nuisance = np.flatnonzero(failed)
-        matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
-        one = hypotheses.singles(matrix, vector, gamma)
+        sums = _without(sums, nuisance)
+        one = hypotheses.singles(sums.matrix, sums.vector, gamma)
         one_best = one.improvement.max(axis=0)  # over onsets
         first = int(one_best.argmax())
         if one_best[first] < o.look_share * o.improvement_min:
@@ -89,40 +89,38 @@ class Decision:
         if len(nuisance):
             pairs = pairs[~failed[pairs].any(axis=1)]
         if len(pairs) == 0:
-            return self._describe((first,), one, first, matrix, vector, energy, sums, one_best, np.zeros(0))
-        two = hypotheses.pairs(matrix, vector, gamma, pairs[:, 0], pairs[:, 1])
+            return self._describe((first,), one, first, sums, one_best, np.zeros(0))
+        two = hypotheses.pairs(sums.matrix, sums.vector, gamma, pairs[:, 0], pairs[:, 1])
         two_best = two.improvement.max(axis=0)
         best = int(two_best.argmax())
         gain = two_best[best] - one_best[first]
         if gain > o.pair_min:
             others = np.delete(two_best, best)
-            return self._describe(tuple(pairs[best]), two, best, matrix, vector, energy, sums, others, one_best)
+            return self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = np.delete(one_best, first)
-        return self._describe((first,), one, first, matrix, vector, energy, sums, others, without)
+        return self._describe((first,), one, first, sums, others, without)
 
     def direct(self, sums: OnsetSums, failed: np.ndarray, stopped: tuple[int, ...], gamma: float) -> Hypothesis | None:
         """The hypothesis that exactly the motors ``stopped`` (indices), which stand still by their rotor speeds, have
         failed; None when the residual does not agree."""
         o = self.tuning
-        matrix, vector, energy, _ = hypotheses.without_nuisance(
-            sums.matrix, sums.vector, sums.energy, np.flatnonzero(failed)
-        )
-        one = hypotheses.singles(matrix, vector, gamma)
+        sums = _without(sums, np.flatnonzero(failed))
+        one = hypotheses.singles(sums.matrix, sums.vector, gamma)
         best = one_best = one.improvement.max(axis=0)
         if len(stopped) == 1:
             scores, index = one, stopped[0]
             others = np.delete(one_best, index)
         else:
             first, second = (np.array([motor]) for motor in stopped)
-            scores, index = hypotheses.pairs(matrix, vector, gamma, first, second), 0
+            scores, index = hypotheses.pairs(sums.matrix, sums.vector, gamma, first, second), 0
             others = one_best
             best = scores.improvement.max(axis=0)
         rival = float(others.max()) if others.size else 0.0
         if best[index] < o.direct_min or rival - best[index] > o.direct_behind:
             return None
-        found = self._describe(stopped, scores, index, matrix, vector, energy, sums, others, np.zeros(0))
+        found = self._describe(stopped, scores, index, sums, others, np.zeros(0))
         return found if min(found.loss) >= o.direct_loss_share * o.loss_sudden else None
 
     @staticmethod
@@ -130,9 +128,6 @@ class Decision:
         motors: tuple[int, ...],
         scores: hypotheses.Scores,
         index: int,
-        matrix: np.ndarray,
-        vector: np.ndarray,
-        energy: np.ndarray,
         sums: OnsetSums,
         others: np.ndarray,
         simpler: np.ndarray,
@@ -142,14 +137,14 @@ class Decision:
         improvement = float(scores.improvement[window, index])
         rivals = [float(array.max()) for array in (others, simpler) if array.size]
         chosen = list(motors)
-        s = matrix[window][np.ix_(chosen, chosen)]
-        fit = float(vector[window][chosen] @ e - 0.5 * e @ s @ e)
+        s = sums.matrix[window][np.ix_(chosen, chosen)]
+        fit = float(sums.vector[window][chosen] @ e - 0.5 * e @ s @ e)
         return Hypothesis(
             motors=tuple(int(i) for i in motors),
             loss=tuple(-float(value) for value in e),
             improvement=improvement,
             margin=improvement - max(rivals, default=0.0),
-            explained=2.0 * fit / max(float(energy[window]), 1e-12),
+            explained=2.0 * fit / max(float(sums.energy[window]), 1e-12),
             age_s=float(sums.age_s[window]),
         )
 
@@ -269,3 +264,9 @@ class Decision:
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )
+
+
+def _without(sums: OnsetSums, nuisance: np.ndarray) -> OnsetSums:
+    """What is left when the motors ``nuisance`` (indices) are fitted freely."""
+    matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
+    return OnsetSums(matrix=matrix, vector=vector, energy=energy, age_s=sums.age_s)

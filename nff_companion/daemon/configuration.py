@@ -15,7 +15,7 @@ from nff_companion.core.tuning import Tuning, check
 from nff_companion.core.tuning.span import about, shown, span
 from nff_companion.core.vehicle import THRUST_TO_WEIGHT
 from nff_companion.errors import ConfigError
-from nff_companion.mavlink.endpoint import parse
+from nff_companion.mavlink.urls import parse
 
 ModeName = Literal["observe", "allocate", "override"]
 MODES: dict[str, Mode] = {"observe": Mode.OBSERVE, "allocate": Mode.ALLOCATE, "override": Mode.OVERRIDE}

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from nff_companion.allocation import allocator, tables
+from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.meeting import Kind, Meeting
@@ -51,7 +52,7 @@ class TrialOptions:
 class Workshop:
     """What all companions of one airframe share: allocations computed ahead, and the card with the scripts."""
 
-    plans: dict[int, tables.Plan]
+    plans: dict[int, Plan]
     card: Path
 
     @staticmethod
@@ -149,7 +150,7 @@ class TrialCompanion:
 class VirtualFlight:
     """A fleet, some of whose vehicles have a companion."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - the options of a trial, all by name
         self,
         fleet: Fleet,
         companions: dict[int, TrialOptions],

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from nff_companion.autopilots.base import Stream
 from nff_companion.errors import EndpointError, NffError
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.endpoint import Endpoint, open_endpoint
 from nff_companion.mavlink.services.parameter_reader import decode, encode, name_of
-from nff_companion.mavlink.services.streams import interval
+from nff_companion.mavlink.services.streams import Stream, interval
 
 _SYSTEM = 255
 _COMPONENT = 190
