@@ -47,6 +47,8 @@ class TelemetryDecoder:
         self._vehicle = vehicle
         self._names = [f"servo{i}_raw" for i in range(1, vehicle.motors + 1)]
         self._armed: bool | None = None  # not heard
+        self._beyond = f"servo{vehicle.motors + 1}_raw" if vehicle.motors < _MAX_SERVOS else ""
+        self.drives_more = False  # outputs than the airframe has motors
         self._output: np.ndarray = np.full(vehicle.motors, np.nan)
         self._output_usec: int | None = None
         self._quaternion: np.ndarray | None = None
@@ -106,6 +108,7 @@ class TelemetryDecoder:
             # An output that an armed autopilot does not drive is no motor: the airframe is another one.
             self._output = np.full_like(self._output, np.nan)
         self._output_usec = message.time_usec
+        self.drives_more = bool(self._beyond) and getattr(message, self._beyond) > 0
 
     def _esc_status(self, message: Message) -> None:
         """Four motors from ``index``, at the time of the message; a message that repeats itself is not new."""

@@ -314,6 +314,20 @@ def test_a_vehicle_heard_on_two_ports_keeps_one_and_counts_nothing_twice() -> No
     assert companion.output.mode == Mode.ALLOCATE
 
 
+@pytest.mark.parametrize("airframe", ["h250", "hexa-x"])
+def test_an_airframe_file_with_fewer_motors_than_are_driven_only_observes(airframe: str) -> None:
+    fleet = Fleet(
+        plant_airframe.load(vehicle.path_of("octo-x")),
+        FleetOptions(seeds=[1], height_m=10.0),
+        [Fault(vehicle=0, motor=2, start_s=2.0)],
+    )
+    trial = VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE)}, airframe=airframe)
+    companion = fly(trial, 4.0)
+    assert companion.output.mode == Mode.OBSERVE
+    assert reason(companion) == Reason.CONTRADICTION
+    assert not fleet.autopilot.ports[0].accepted
+
+
 # -- twins --------------------------------------------------------------------------------------------------------
 
 
