@@ -156,7 +156,7 @@ class Companion:
         if orders is not NO_ORDERS:
             state = self._obeyed(state, orders)
         if sample is None:
-            return self._said(state, condition)
+            return self._said(state, condition, estimate=state.last.estimate if state.watching else None)
         refused = self._refused(sample)
         if refused is not None:
             return self._bad(state, condition, refused)
@@ -188,9 +188,11 @@ class Companion:
     def _obeyed(self, state: CompanionState, orders: Orders) -> CompanionState:
         """The operator's orders, and what a restart takes over: the only place where they are applied."""
         failed = state.failed
-        if orders.lift or orders.adopt:
+        if orders.lift or orders.adopt is not None:
             failed = np.array(failed)
-            failed[[motor - 1 for motor in orders.adopt]] = True
+            if orders.adopt is not None:
+                failed[:] = False
+                failed[[motor - 1 for motor in orders.adopt]] = True
             failed[[motor - 1 for motor in orders.lift]] = False
             failed.flags.writeable = False
         if orders.mode is None:
@@ -211,11 +213,14 @@ class Companion:
         phase = self._phase.step(state.phase, sample, command)
         good_since = time_s if state.good_since_s is None else state.good_since_s
         state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since)
-        if not phase.flying or gap is None:
-            if phase.landed_and_disarmed:
+        if not phase.flying or gap is None or condition.samples is not None:
+            if phase.landed_and_disarmed or (not sample.armed and state.failed.any()):
                 state = self._forgotten(state)
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
-            return self._said(replace(state, estimate=None, loop=OverrideState(), trouble=why), condition, time_s)
+            why = first(why, condition.samples) or why
+            fault = state.fault and phase.flying
+            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault)
+            return self._said(state, condition, time_s)
         try:
             estimating, estimate = self._estimated(state, sample, command, gap)
         except (SolverError, np.linalg.LinAlgError) as error:
@@ -334,12 +339,12 @@ class Companion:
             time_s=state.last.time_s if time_s is None else time_s,
             mode=mode,
             obstacle=self._obstacle(state, condition, mode),
-            flying=estimate is not None,
+            flying=state.watching,
             failed=failed,
             effectiveness=effectiveness,
             deviation=deviation,
             degraded=_shut(planning.degraded & ~failed),
-            events=() if estimate is None else tuple(estimate.events),
+            events=() if estimate is None or time_s is None else tuple(estimate.events),
             plan=planning.plan if mode != Mode.OBSERVE else None,
             override=override if mode == Mode.OVERRIDE else None,
             estimate=estimate,

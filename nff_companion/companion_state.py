@@ -52,7 +52,7 @@ class Orders(msgspec.Struct, frozen=True, kw_only=True):
 
     mode: Mode | None = None
     lift: tuple[int, ...] = ()
-    adopt: tuple[int, ...] = ()  # declarations that the autopilot already holds
+    adopt: tuple[int, ...] | None = None  # all declarations that the autopilot holds: its word replaces ours
 
 
 NO_ORDERS = Orders()

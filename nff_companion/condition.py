@@ -26,7 +26,7 @@ class Reason(Enum):
 
     # Samples that cannot be used.
     WAITING = (10, "waiting for telemetry")
-    TELEMETRY_STOPPED = (10, "telemetry stopped for {} s")
+    TELEMETRY_STOPPED = (10, "telemetry stopped")
     MOTOR_COUNT = (11, "telemetry has {}: check the airframe")
     OUTPUTS_MISSING = (11, "motor outputs missing in telemetry")
     NOT_FINITE = (11, "gyro or accelerometer not finite")
@@ -34,13 +34,13 @@ class Reason(Enum):
     SAMPLE_TIME = (11, "time of the sample is {}")
     TIME_JUMP = (12, "time jumped by {} s")
     ESTIMATOR = (12, "estimator: {}")
+    RATE = (12, "samples at {} Hz: observing")
     NOT_FLYING = (13, "not flying")
     STARTING = (13, "starting")
     RECOVERING = (14, "recovering")
     # Link and vehicle.
     TWIN = (20, "another companion was here first ({}): observing")
     AMBIGUOUS = (20, "systems {} are heard: set link.system; observing")
-    RATE = (21, "samples at {} Hz: observing")
     # The autopilot.
     VERSION_UNKNOWN = (30, "{}: what it does with a declared motor is not known here; observing")
     READING = (31, "reading the autopilot's parameters")
@@ -139,6 +139,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """The autopilot and the link to it at one moment, as the adapter and the session see them."""
 
     armed: bool | None = None  # None: not heard
+    samples: Statement | None = None  # why nothing can be estimated from them
     command: Statement | None = None  # why no command may be sent
     allocate: Statement | None = None  # why mode allocate can do nothing
     drive: Statement | None = None  # why motor outputs may not be sent though commands may

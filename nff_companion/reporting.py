@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nff_companion.autopilots.base import Adapter
-from nff_companion.autopilots.twins import custom_mode
+from nff_companion.autopilots.twins import Rank, custom_mode
 from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, Statement
 from nff_companion.core.basis_network import Basis
@@ -100,10 +100,10 @@ class Reporter:
 
     # -- messages -----------------------------------------------------------------------------------------------
 
-    def heartbeat(self, output: Output) -> Message:
-        """Heartbeat of a companion computer."""
+    def heartbeat(self, output: Output, rank: Rank, *, act: bool = True) -> Message:
+        """Heartbeat of a companion computer; a check before the flight (``act`` False) is nobody."""
         state = dialect.MAV_STATE_ACTIVE if output.mode != Mode.OBSERVE else dialect.MAV_STATE_STANDBY
-        mode = custom_mode(self.instance, output.mode)
+        mode = custom_mode(self.instance if act else 0, output.mode, rank)
         return dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, mode, state, 3
         )

@@ -18,6 +18,7 @@ from nff_companion.autopilots import schedule
 from nff_companion.autopilots.adoption import Adoption
 from nff_companion.autopilots.base import Adapter, Finding, Permit
 from nff_companion.autopilots.meeting import Meeting
+from nff_companion.autopilots.port import PortChoice
 from nff_companion.autopilots.schedule import Command, Drive, ScheduleState
 from nff_companion.autopilots.twins import Twins
 from nff_companion.companion import Companion
@@ -39,7 +40,8 @@ _HEARTBEAT_S = 1.0
 _HOST_S = 2.0
 _LOOK_S = 1.0
 _ASK_WHO_S = 0.2
-_PORT_SILENT_S = 0.5  # the vehicle's port is kept while it is heard there
+_GONE_S = 5.0  # without a sample: whoever was being helped is out of reach
+_ELSEWHERE = (Reason.TWIN, Reason.AMBIGUOUS)  # somebody else may be commanding this vehicle
 _NOTHING = Condition()
 
 
@@ -83,12 +85,14 @@ class Session:
         self._unconfirmed_s: float | None = None
         self._adoption = Adoption(meeting, options.system)
         self._met: Adapter | None = None  # the adapter that the state below belongs to
-        self._port: int | None = None
-        self._asked_who_s = self._port_heard_s = self._sample_s = -np.inf  # of our clock
-        self._lost, self._adopted = True, False
+        self._met_system: int | None = None
+        self._ports = PortChoice()
+        self._asked_who_s = self._sample_s = -np.inf  # of our clock
+        self._sample_time_s: float | None = None  # of the autopilot's clock
+        self._lost, self._adopted, self._engaged = True, False, False
         self._rate = Agreement(options.rate_hz)
         self._condition = _NOTHING
-        self._twins = Twins(meeting.instance, now_s)
+        self._twins = Twins(meeting.instance)
         self._streams, self._announcer = StreamMonitor(), Announcer()
         self._sync = TimeSync(options.component)
         self._parameters = ParameterServer(
@@ -130,8 +134,9 @@ class Session:
         """Of the vehicle adopted."""
         return self._adoption.system
 
-    def _acting(self) -> bool:
-        return self.output.flying and self.output.mode != Mode.OBSERVE
+    def _acting(self, now_s: float) -> bool:
+        """Whether this flight has been helped: until it ends, or the vehicle is out of reach, it stays ours."""
+        return self._engaged and now_s - self._sample_s <= _GONE_S
 
     def autopilot_time_s(self, now_s: float) -> float:
         """The autopilot's clock: of the last sample, and as much later as our clock says."""
@@ -167,15 +172,17 @@ class Session:
         out = [Finding("link", True, f"autopilot of system {adapter.target[0]}, adapter {adapter.name}")]
         if self._condition.armed:
             out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
-        for obstacle in (self._adoption.obstacle(acting=False), self._twins.obstacle(now_s)):
+        for obstacle in (self._adoption.obstacle(acting=False), self._twins.obstacle(now_s, acting=False)):
             if obstacle is not None:
                 out.append(Finding("vehicle", False, obstacle.text))
         network = self._companion.network
         out.append(Finding("network", True, "none: a constant basis" if network is None else network.label))
         out += adapter.findings()
         slow = self._streams.slow(adapter.streams(self._options.rate_hz), now_s)
-        text = ", ".join(f"{name} {rate:.0f} of {asked:.0f} Hz" for name, (rate, asked) in slow.items())
-        return [*out, Finding("rates", not slow, text or f"all streams at {self._rate.agreed_hz:.0f} Hz")]
+        wrong = [f"{name} {rate:.0f} of {asked:.0f} Hz" for name, (rate, asked) in slow.items()]
+        off = self._rate_off()
+        wrong += [] if off is None else [off.text]
+        return [*out, Finding("rates", not wrong, ", ".join(wrong) or f"all streams at {self._rate.agreed_hz:.0f} Hz")]
 
     # -- in -----------------------------------------------------------------------------------------------------
 
@@ -184,9 +191,9 @@ class Session:
         self._now_s = now_s
         kind = message.get_type()
         self._twins.hear(message, self.system, now_s)
-        ours = self._adoption.hear(message, now_s, acting=self._acting())
+        ours = self._adoption.hear(message, now_s, acting=self._acting(now_s))
         if self._adoption.adapter is not self._met:
-            self._meet(self._adoption.adapter, port, now_s)
+            self._meet(self._adoption.adapter, now_s)
         if kind == "HEARTBEAT":
             self._note(self._adoption.notes(), now_s)
         if kind == "TIMESYNC":
@@ -194,9 +201,10 @@ class Session:
         elif kind.startswith("PARAM_"):
             self._send_all(self._parameters.answer(message), port)
         adapter = self.adapter
-        if adapter is None:
+        if adapter is None and self._options.act:
             self._ask_who(message, port, now_s)
-        if not ours or adapter is None or not self._this_port(port, now_s):
+        imu = message.get_msgId() == dialect.MAVLINK_MSG_ID_HIGHRES_IMU
+        if not ours or adapter is None or not self._ports.takes(port, sample=imu, now_s=now_s):
             return self._flushed()
         self._streams.heard(message.get_msgId(), now_s)
         sample = adapter.observe(message, now_s)
@@ -216,15 +224,15 @@ class Session:
         if adapter is not None and np.isfinite(self._sample_s):
             time_s = self.autopilot_time_s(self._now_s)
             if orders.lift:
-                self._schedule = schedule.by_the_operator(self._schedule)
-            if orders.mode == Mode.OBSERVE:
+                self._schedule = schedule.lifted(self._schedule, orders.lift, time_s)
+            if orders.mode == Mode.OBSERVE and not self._elsewhere():
                 self._schedule, commands = schedule.released(self._schedule, time_s)
                 self._command(adapter, commands)
             self._commands(adapter, output, time_s)
 
     def _retune(self, tuning: Tuning) -> bool:
         """Other tuning, from the next flight on; False in flight, when nothing changes."""
-        if self.state.watching:
+        if self.state.watching or self.state.phase.flying:
             return False
         self._rebuild(self._companion.rebuilt(tuning=tuning))
         return True
@@ -232,7 +240,7 @@ class Session:
     def leave(self, now_s: float) -> list[Outgoing]:
         """The end: the vehicle is given back; confirmed declarations stay."""
         adapter = self.adapter
-        if adapter is not None and np.isfinite(self._sample_s):
+        if adapter is not None and np.isfinite(self._sample_s) and not self._elsewhere():
             self._schedule, commands = schedule.released(self._schedule, self.autopilot_time_s(now_s), leaving=True)
             self._command(adapter, commands)
         return self._flushed()
@@ -256,7 +264,9 @@ class Session:
             self._command(adapter, [Drive(sample.time_s, answer)])
         self.state, output = self._companion.step(self.state, sample, condition, override=answer)
         self._commands(adapter, output, output.time_s)
-        self._sample_s, self._lost = now_s, False
+        if sample.time_s != self._sample_time_s:  # the same again and again is silence
+            self._sample_time_s, self._sample_s, self._lost = sample.time_s, now_s, False
+        self._engaged = self.state.phase.flying and (self._engaged or (output.flying and output.mode != Mode.OBSERVE))
         self._unconfirmed_s = self._confirmation.step(output, condition, now_s)
         self.reporter.step_done(output, now_s)
         for event in output.events:
@@ -275,23 +285,33 @@ class Session:
             return
         for command in commands:
             for message in adapter.encode(command):
-                self._send(message, self._port)
+                self._send(message, self._ports.port)
                 self.reporter.counters.commands_sent += 1
 
     def _conditioned(self, adapter: Adapter, now_s: float) -> Condition:
         """The adapter's word, and what stands in the way besides."""
         condition = adapter.condition(now_s)
-        mine = first(self._twins.obstacle(now_s), self._adoption.obstacle(acting=self._acting()), self._rate_off())
-        return condition if mine is None else replace(condition, command=first(mine, condition.command))
+        acting, samples = self._acting(now_s), self._rate_off()
+        mine = first(self._twins.obstacle(now_s, acting=acting), self._adoption.obstacle(acting=acting))
+        if mine is None and samples is None:
+            return condition
+        return replace(condition, command=first(mine, condition.command), samples=samples)
+
+    def _elsewhere(self) -> bool:
+        """Whether the vehicle is somebody else's now."""
+        command = self._condition.command
+        return command is not None and command.reason in _ELSEWHERE
 
     def _taken_over(self, condition: Condition) -> Orders:
-        """After a restart in flight the autopilot knows better than we do what has been declared; what an earlier
-        flight has left behind on the ground is not taken over."""
+        """After a restart in flight, or when another companion is gone, the autopilot knows better than we do what has
+        been declared; what an earlier flight has left behind on the ground is not taken over."""
         held = condition.in_force.failed
-        if self._adopted or held is None:
-            return NO_ORDERS
-        self._adopted = True
-        return Orders(adopt=tuple(numbers(held))) if condition.armed and held.any() else NO_ORDERS
+        if self._elsewhere():
+            self._adopted = False
+        elif not self._adopted and held is not None:
+            self._adopted = True
+            return Orders(adopt=tuple(numbers(held))) if condition.armed else NO_ORDERS
+        return NO_ORDERS
 
     # -- rate and port ------------------------------------------------------------------------------------------
 
@@ -323,25 +343,21 @@ class Session:
         values = (0, heartbeat, *[0.0] * 6)
         self._send(dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, *values), port)
 
-    def _this_port(self, port: int, now_s: float) -> bool:
-        """The vehicle may be heard twice, directly and through a router: one port is kept while it is heard there."""
-        if port != self._port and now_s - self._port_heard_s <= _PORT_SILENT_S:
-            return False
-        self._port, self._port_heard_s = port, now_s
-        return True
-
-    def _meet(self, adapter: Adapter | None, port: int, now_s: float) -> None:
+    def _meet(self, adapter: Adapter | None, now_s: float) -> None:
         """Another vehicle, or another adapter for it: what was agreed with the last one does not hold."""
         self._met = adapter
         self._condition = _NOTHING
         self._schedule = ScheduleState.start(self._companion.vehicle.motors)
         self._rate.restart()
-        self._lost, self._adopted = True, False
+        self._lost, self._adopted, self._engaged = True, False, False
         self._sample_s = -np.inf
         if adapter is None:
             self.state, _ = self._companion.interrupted(self.state, _NOTHING, Statement(Reason.WAITING))
             return
-        self._port, self._port_heard_s = port, now_s
+        if self._met_system not in (None, adapter.target[0]):
+            self.state = self._companion.start(self.state.mode)
+        self._met_system = adapter.target[0]
+        self._ports, self._streams = PortChoice(), StreamMonitor()
         self._condition = self._conditioned(adapter, now_s)
         self._parameters.adopt(adapter.target[0])
         self._sync.adopt(adapter.target[0])
@@ -355,16 +371,16 @@ class Session:
     def due(self, now_s: float) -> list[Outgoing]:
         """What is due at ``now_s``, whether or not anything arrives."""
         self._now_s = now_s
-        self._adoption.tick(now_s, acting=self._acting())
+        self._adoption.tick(now_s, acting=self._acting(now_s))
         if self._adoption.adapter is not self._met:
-            self._meet(self._adoption.adapter, self._port or 0, now_s)
+            self._meet(self._adoption.adapter, now_s)
         adapter = self.adapter
         if not self._lost and now_s - self._sample_s > self._options.stream_timeout_s:
             self._silence(now_s)
         if adapter is not None:
-            if self._may_ask():
-                self._send_all(adapter.due(now_s, self._permit()), self._port)
-            if self._lost and self._schedule.word:
+            if self._may_ask() and not self.state.fault:  # else whoever relies on us must see that we do not watch
+                self._send_all(adapter.due(now_s, self._permit()), self._ports.port)
+            if self._lost and self._schedule.lifted is not None:
                 self._condition = self._conditioned(adapter, now_s)
                 self._commands(adapter, self.output, self.autopilot_time_s(now_s))
         self._introduce(now_s)
@@ -375,9 +391,10 @@ class Session:
 
     def _silence(self, now_s: float) -> None:
         self._lost = True
-        why = Statement(Reason.TELEMETRY_STOPPED, f"{now_s - self._sample_s:.2f}")
+        why = Statement(Reason.TELEMETRY_STOPPED)
         self.state, output = self._companion.interrupted(self.state, self._condition, why)
         self._rate.restart()
+        self._streams = StreamMonitor()  # it may have restarted, and forgotten what it was asked for
         self.reporter.silent()
         self._unconfirmed_s = self._confirmation.step(output, self._condition, now_s)
         self._say_verdict(now_s)
@@ -394,10 +411,13 @@ class Session:
 
     def _introduce(self, now_s: float) -> None:
         """Heartbeat, status, and how the computer fares."""
+        able = self._options.act and not self.state.fault and self.state.mode != Mode.OBSERVE
+        if self._twins.step(now_s, acting=self._acting(now_s), able=able):
+            self._next_heartbeat_s = now_s
         if now_s >= self._next_heartbeat_s and not self.state.fault:
             # A companion whose estimator fails falls silent: whoever relies on it must see that.
             self._next_heartbeat_s = now_s + _HEARTBEAT_S
-            self._send(self.reporter.heartbeat(self.output), None)
+            self._send(self.reporter.heartbeat(self.output, self._twins.rank, act=self._options.act), None)
         if not self._options.act:
             return
         self._send_all(self.reporter.due(self.moment(), now_s), None)
@@ -409,10 +429,11 @@ class Session:
         """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""
         streams = adapter.streams(self._options.rate_hz)
         if self._may_ask():
-            self._send_all(self._sync.tick(round(1e9 * now_s)), self._port)
-            self._send_all(self._streams.requests(streams, adapter.target, now_s), self._port)
-        if not self._options.act:
+            self._send_all(self._sync.tick(round(1e9 * now_s)), self._ports.port)
+            self._send_all(self._streams.requests(streams, adapter.target, now_s), self._ports.port)
+        if self._lost or not self._options.act:
             self._condition = self._conditioned(adapter, now_s)
+        if not self._options.act:
             return
         self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now_s)
         for name, (rate, asked) in self.reporter.slow_streams.items():

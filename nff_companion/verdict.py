@@ -22,7 +22,8 @@ def _listed(motors: np.ndarray) -> str:
 def confirmed(output: Output, condition: Condition) -> bool:
     """Whether the autopilot says that it does what ``output`` wants of it."""
     in_force = condition.in_force
-    if output.failed.any() and not in_force.holds(output.failed):
+    held = in_force.failed
+    if (output.failed.any() or (held is not None and held.any())) and not in_force.holds(output.failed):
         return False
     if output.mode == Mode.OVERRIDE and output.override is not None:
         return in_force.source == Source.OVERRIDE

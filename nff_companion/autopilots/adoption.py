@@ -55,6 +55,7 @@ class Adoption:
         self._vehicles: dict[int, _Vehicle] = {}
         self._kind: Kind | None = None
         self._refused: int | None = None
+        self._others: set[int] = set()  # systems whose heartbeat is no vehicle's
         self.adapter: Adapter | None = None
 
     @property
@@ -70,6 +71,7 @@ class Adoption:
         known = self._vehicles.get(system)
         if message.get_type() == "HEARTBEAT":
             if message.type in _NO_VEHICLE or message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+                self._others.add(system)
                 return False
             if known is None:
                 known = self._vehicles[system] = _Vehicle(message.autopilot, now_s, message)
@@ -90,7 +92,7 @@ class Adoption:
 
     def knows(self, system: int) -> bool:
         """Whether a heartbeat of this system's autopilot has been heard."""
-        return system in self._vehicles
+        return system in self._vehicles or system in self._others
 
     def obstacle(self, *, acting: bool) -> Statement | None:
         """Why the vehicle adopted may be the wrong one."""

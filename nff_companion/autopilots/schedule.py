@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import msgspec
@@ -56,7 +57,8 @@ Command = Declare | Load | Drive | Release
 
 
 class ScheduleState(msgspec.Struct, frozen=True, eq=False):
-    """What was told last, by the autopilot's clock. ``word``: the operator's, told in every mode until confirmed."""
+    """What was told last, by the autopilot's clock. ``lifted`` (m,) bool: by the operator's word since ``lifted_s``,
+    which is told in every mode until confirmed, or no longer fresh."""
 
     told: np.ndarray  # (m,) bool, of the last declaration
     effectiveness: np.ndarray  # (m,)
@@ -64,7 +66,8 @@ class ScheduleState(msgspec.Struct, frozen=True, eq=False):
     since_s: float = -np.inf  # since when this set is being told
     plan: Plan | None = None  # last streamed
     plan_s: float = -np.inf
-    word: bool = False
+    lifted: np.ndarray | None = None
+    lifted_s: float = -np.inf
 
     @staticmethod
     def start(motors: int) -> ScheduleState:
@@ -84,10 +87,12 @@ def steps(
     """What is due after ``output``; ``time_s`` by the autopilot's clock: of the sample, or a guess where none comes."""
     commands: list[Command] = []
     acting = output.mode != Mode.OBSERVE
-    if state.word and condition.in_force.holds(output.failed):
-        state = replace(state, word=False)
-    if state.word or (acting and output.flying):
+    if acting and output.flying:
+        state = state if state.lifted is None else replace(state, lifted=None)
         state, told = _declare(state, output, condition, time_s)
+        commands += told
+    elif state.lifted is not None:
+        state, told = _lift(state, state.lifted, condition, time_s)
         commands += told
     if not acting:
         return state, commands
@@ -131,9 +136,27 @@ def _declare(
     return state, [Declare(time_s, output.failed, believed)]
 
 
-def by_the_operator(state: ScheduleState) -> ScheduleState:
-    """The operator has spoken: what is believed now is told in every mode, until confirmed."""
-    return replace(state, word=True, told_s=-np.inf)
+def _lift(
+    state: ScheduleState, motors: np.ndarray, condition: Condition, time_s: float
+) -> tuple[ScheduleState, list[Command]]:
+    """The operator's word where we do not act: of what the autopilot holds these ``motors`` go, nothing is added."""
+    held = condition.in_force.failed
+    fresh = 0.0 <= time_s - state.lifted_s < times.ORDER_MAX_S
+    if held is None or not fresh or not (held & motors).any():
+        return replace(state, lifted=None), []
+    if 0.0 <= time_s - state.told_s < times.DECLARATION_INTERVAL_S - _JITTER_S:
+        return state, []
+    left = read_only(held & ~motors)
+    return replace(state, told_s=time_s), [Declare(time_s, left, read_only(np.where(left, 0.0, 1.0)))]
+
+
+def lifted(state: ScheduleState, motors: Iterable[int], time_s: float) -> ScheduleState:
+    """The operator lifts ``motors`` (from 1): that is told at once, and in every mode."""
+    mask = np.zeros(len(state.told), bool)
+    mask[[motor - 1 for motor in motors]] = True
+    if state.lifted is not None:
+        mask |= state.lifted
+    return replace(state, lifted=read_only(mask), lifted_s=time_s, told_s=-np.inf)
 
 
 def released(state: ScheduleState, time_s: float, *, leaving: bool = False) -> tuple[ScheduleState, list[Command]]:

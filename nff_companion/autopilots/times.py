@@ -25,4 +25,5 @@ MATRIX_INTERVAL_S = 0.05
 HEARTBEAT_INTERVAL_S = 0.2
 ANSWER_MAX_S = 1.0  # an autopilot silent for longer does not obey either
 CONFIRM_MAX_S = 0.5  # a command not confirmed for longer is said not to be in force
+ORDER_MAX_S = 5.0  # an operator's order that cannot be told for longer is dropped
 GROUND_PATIENCE_S = 4.0  # before an applet that has not answered is called silent: scripts start late

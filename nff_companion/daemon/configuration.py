@@ -44,7 +44,7 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["auto", "nff", "ardupilot", "px4"],
         about("", "nff is this project's own dialect; auto: as it says itself"),
     ] = "auto"
-    system: Annotated[int, span(0, 255, "", "system id of the autopilot; 0: the first one heard")] = 0
+    system: Annotated[int, span(0, 255, "", "system id of the autopilot; 0: the one heard, several are refused")] = 0
     px4_method: Annotated[Literal["scale", "inject"], about("", "how PX4 is told of a matrix: docs/px4.md")] = "scale"
     rate_hz: Annotated[
         float, span(25, 1000, "Hz", "telemetry that is asked for, and that the estimator is built for")

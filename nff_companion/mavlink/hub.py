@@ -117,7 +117,7 @@ class Hub:
                     port.dropped += 1
             except EndpointError as error:
                 self._drop(port, error, now_s)
-            except struct.error as error:
+            except (struct.error, OverflowError) as error:
                 # A value that its field cannot hold: said, counted, not sent.
                 self.unsendable += 1
                 log.error("%s cannot be packed: %s", message.get_type(), error)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nff_companion.autopilots.meeting import Meeting
-from nff_companion.autopilots.twins import custom_mode
+from nff_companion.autopilots.twins import Rank, custom_mode
 from nff_companion.companion import Companion
 from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode, Reason
@@ -331,8 +331,8 @@ def test_an_airframe_file_with_fewer_motors_than_are_driven_only_observes(airfra
 # -- twins --------------------------------------------------------------------------------------------------------
 
 
-def companion_heartbeat(instance: int, component: int = 191) -> Message:
-    message = dialect.MAVLink_heartbeat_message(18, 8, 0, custom_mode(instance, Mode.ALLOCATE), 4, 3)
+def companion_heartbeat(instance: int, component: int = 191, rank: Rank = Rank.CLAIMANT) -> Message:
+    message = dialect.MAVLink_heartbeat_message(18, 8, 0, custom_mode(instance, Mode.ALLOCATE, rank), 4, 3)
     (received,) = Codec(1, 191).parse(Codec(1, component).pack(message))
     return received
 

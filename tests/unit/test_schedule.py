@@ -65,12 +65,30 @@ def test_observe_tells_nothing_unless_the_operator_has_spoken(plan: Plan) -> Non
     condition = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[0]))
     state, commands = told(ScheduleState.start(8), output([1], None, Mode.OBSERVE), condition, 10.0, 100)
     assert commands == []
-    state = schedule.by_the_operator(state)
-    lifted = output([], None, Mode.OBSERVE)
-    state, commands = told(state, lifted, condition, 11.0, 30)
+    state = schedule.lifted(state, [1], 11.0)
+    out = output([], None, Mode.OBSERVE)
+    state, commands = told(state, out, condition, 11.0, 30)
     assert [k for k, _ in commands] == [0, 10, 20]
     assert not commands[0][1].failed.any()
-    _, commands = told(state, lifted, Condition(takes_matrix=True, in_force=NOBODY), 11.2, 30)
+    _, commands = told(state, out, Condition(takes_matrix=True, in_force=NOBODY), 11.2, 30)
+    assert commands == []
+
+
+def test_a_lift_while_observing_adds_nothing_that_is_only_believed() -> None:
+    """The autopilot holds motor 3; the companion believes 3 and 5: motor 5 goes on turning."""
+    held = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[2]))
+    state = schedule.lifted(ScheduleState.start(8), [3], 10.0)
+    _, commands = told(state, output([5], None, Mode.OBSERVE), held, 10.0, 20)
+    assert [command.failed.any() for _, command in commands] == [False, False]
+    for nothing in (NOBODY, InForce()):
+        _, commands = told(state, output([5], None, Mode.OBSERVE), Condition(in_force=nothing), 10.0, 20)
+        assert commands == []
+
+
+def test_a_lift_that_could_not_be_told_is_not_told_much_later() -> None:
+    held = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[2]))
+    state = schedule.lifted(ScheduleState.start(8), [3], 10.0)
+    _, commands = told(state, output([], None, Mode.OBSERVE), held, 10.0 + times.ORDER_MAX_S, 20)
     assert commands == []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import termios
 
 from nff_companion.errors import EndpointError
 from nff_companion.mavlink.send_queue import SendQueue
@@ -21,7 +22,7 @@ class SerialPort:
         self.url = url
         try:
             self._port = serial.Serial(parsed.host, parsed.number, timeout=0, write_timeout=0)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:  # the last where it is pulled out while it is opened
             raise EndpointError(f"{url}: cannot open: {error}; check the device, the baud and permissions") from error
         os.set_blocking(self._port.fileno(), False)
         # pyserial's own write would wait for a slow line in a busy loop.
@@ -40,7 +41,7 @@ class SerialPort:
         """Bytes that have arrived."""
         try:
             data = self._port.read(4096)
-        except OSError as error:
+        except (OSError, termios.error) as error:
             raise EndpointError(f"{self.url}: lost: {error}") from error
         return [(data, None)] if data else []
 
@@ -51,20 +52,18 @@ class SerialPort:
         """Write the frame after what waits; False when it is dropped for want of room."""
         try:
             return self._queue.send(data)
-        except OSError as error:
+        except (OSError, termios.error) as error:
             raise EndpointError(f"{self.url}: lost: {error}") from error
 
     def flush(self) -> None:
         """Write of what waits as much as the line takes."""
         try:
             self._queue.flush()
-        except OSError as error:
+        except (OSError, termios.error) as error:
             raise EndpointError(f"{self.url}: lost: {error}") from error
 
     def close(self) -> None:
         """Close the port."""
-        import termios
-
         # Closing waits for what the driver still holds, on a stalled line for half a minute; a device that was pulled
         # out has nothing to discard.
         with contextlib.suppress(OSError, termios.error):

@@ -10,6 +10,7 @@ from nff_companion.mavlink.codec import Message, dialect
 
 _WINDOW_S = 2.0
 _ENOUGH = 0.8  # of the rate asked for
+_ENOUGH_SAMPLES = 0.9  # of the inertial samples: the estimator is built for their rate
 _REQUEST_S = 1.0
 _OPTIONAL_TRIES = 5
 
@@ -21,6 +22,11 @@ class Stream:
     message_id: int
     rate_hz: float
     required: bool = True
+
+
+def _enough_hz(stream: Stream) -> float:
+    samples = stream.message_id == dialect.MAVLINK_MSG_ID_HIGHRES_IMU
+    return (_ENOUGH_SAMPLES if samples else _ENOUGH) * stream.rate_hz - 0.5
 
 
 def name_of(message_id: int) -> str:
@@ -63,7 +69,7 @@ class StreamMonitor:
         out = {}
         for stream in streams:
             rate = self.rate_hz(stream.message_id, now_s)
-            if stream.required and rate < _ENOUGH * stream.rate_hz - 0.5:
+            if stream.required and rate < _enough_hz(stream):
                 out[name_of(stream.message_id)] = (rate, stream.rate_hz)
         return out
 
@@ -76,7 +82,7 @@ class StreamMonitor:
             self._first_asked_s = now_s
         out = []
         for stream in streams:
-            if self.rate_hz(stream.message_id, now_s) >= _ENOUGH * stream.rate_hz - 0.5:
+            if self.rate_hz(stream.message_id, now_s) >= _enough_hz(stream):
                 continue
             asked = self._asked.get(stream.message_id, 0)
             if not stream.required and stream.message_id not in self._arrivals and asked >= _OPTIONAL_TRIES:
