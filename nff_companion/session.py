@@ -252,6 +252,8 @@ class Session:
     # -- one sample ---------------------------------------------------------------------------------------------
 
     def _sampled(self, adapter: Adapter, sample: Sample, now_s: float) -> None:
+        if self._lost and sample.time_s == self._sample_time_s:
+            return  # the same again and again is silence
         self._rate.add(sample.time_s)
         if not self.state.watching:
             self._agree()
@@ -264,7 +266,7 @@ class Session:
             self._command(adapter, [Drive(sample.time_s, answer)])
         self.state, output = self._companion.step(self.state, sample, condition, override=answer)
         self._commands(adapter, output, output.time_s)
-        if sample.time_s != self._sample_time_s:  # the same again and again is silence
+        if sample.time_s != self._sample_time_s:
             self._sample_time_s, self._sample_s, self._lost = sample.time_s, now_s, False
         self._engaged = self.state.phase.flying and (self._engaged or (output.flying and output.mode != Mode.OBSERVE))
         self._unconfirmed_s = self._confirmation.step(output, condition, now_s)
