@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 from pathlib import Path
 
 import msgspec
@@ -23,9 +24,13 @@ HEAD = '[link]\nendpoint = "udpin:127.0.0.1:14561"\n[vehicle]\nairframe = "octo-
 WITHOUT_CONSTANTS = [
     *sorted((ROOT / "nff_companion" / "allocation").glob("*.py")),
     *sorted((ROOT / "nff_companion" / "control").glob("*.py")),
-    ROOT / "nff_companion" / "core" / "flight_phase.py",
+    *(
+        path
+        for path in sorted((ROOT / "nff_companion" / "core").glob("*.py"))
+        if path.stem not in {"airframe_file", "network_file", "toml_file", "vehicle", "features", "sample_rate"}
+    ),
 ]
-GUARDS = {"_ITERATIONS", "_INFINITE"}
+GUARDS = {"_ITERATIONS", "_INFINITE", "_TINY", "_SPEED_MAX_M_S"}
 
 
 def load(tmp_path: Path, *lines: str) -> configuration.Config:
@@ -177,3 +182,14 @@ def constants(path: Path) -> set[str]:
 @pytest.mark.parametrize("path", WITHOUT_CONSTANTS, ids=lambda path: str(path.relative_to(ROOT / "nff_companion")))
 def test_no_number_that_decides_stands_outside_the_table(path: Path) -> None:
     assert constants(path) - GUARDS == set()
+
+
+def test_every_number_is_read_somewhere() -> None:
+    """A key that can be set and has no effect would be a lie."""
+    sources = "\n".join(
+        path.read_text(encoding="utf-8")
+        for path in (ROOT / "nff_companion").rglob("*.py")
+        if not {"tuning", "dialect"} & set(path.parent.relative_to(ROOT).parts)
+    )
+    unread = [field.key for field in FIELDS if not re.search(rf"\.{field.path[-1]}\b", sources)]
+    assert unread == []

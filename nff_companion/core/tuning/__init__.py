@@ -22,7 +22,6 @@ from nff_companion.core.tuning.decision import DecisionTuning, EstimatorTuning, 
 from nff_companion.core.tuning.estimation import (
     AdaptationTuning,
     DisturbanceTuning,
-    FullMatrixTuning,
     NetworkTuning,
     ResidualTuning,
     SparseTuning,
@@ -38,7 +37,6 @@ __all__ = [
     "DisturbanceTuning",
     "EstimatorTuning",
     "FlightPhaseTuning",
-    "FullMatrixTuning",
     "LawTuning",
     "NetworkTuning",
     "OnsetTuning",
@@ -64,7 +62,6 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     decision: DecisionTuning = DecisionTuning()
     estimator: EstimatorTuning = EstimatorTuning()
     rotor_speed: RotorSpeedTuning = RotorSpeedTuning()
-    full_matrix: FullMatrixTuning = FullMatrixTuning()
     flight_phase: FlightPhaseTuning = FlightPhaseTuning()
     planner: PlannerTuning = PlannerTuning()
     override: OverrideTuning = OverrideTuning()

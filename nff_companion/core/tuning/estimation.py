@@ -145,10 +145,3 @@ class SparseTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     free_max: Annotated[
         float, span(1.0, 2.0, "", "largest effectiveness that a declared motor's free coefficient is read as")
     ] = 1.2
-
-
-class FullMatrixTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Adaptation of the whole matrix, law b (6.16), flown in trials alone (core/full_matrix.py)."""
-
-    forget_s: Annotated[float, span(0.05, 60.0, "s", "lambda_1: memory; shorter runs away where nothing excites")] = 0.5
-    regularisation: Annotated[float, span(1e-4, 10.0, "", "lambda_2: pull to the nominal matrix")] = 0.05
