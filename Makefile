@@ -20,18 +20,24 @@ $(STAMP): requirements.lock pyproject.toml hatch_build.py mavlink_dialect/nff.xm
 demo: env
 	$(BIN)/nff demo
 
+# Each phase runs whatever became of the others.
 lint: env
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	@status=0; \
+	$(BIN)/ruff check . || status=1; \
+	$(BIN)/ruff format --check . || status=1; \
+	$(BIN)/mypy || status=1; \
+	exit $$status
 
 # The quick tests alone: what neither flies nor waits.
 unit: env
 	$(BIN)/python -m pytest tests/unit -n 2 --dist worksteal
 
-test: lint
-	$(BIN)/python -m pytest -m realtime
-	$(BIN)/python -m pytest -m 'not realtime' -n 2 --dist worksteal
+test: env
+	@status=0; \
+	$(MAKE) --no-print-directory lint || status=1; \
+	$(BIN)/python -m pytest -m realtime || status=1; \
+	$(BIN)/python -m pytest -m 'not realtime' -n 2 --dist worksteal || status=1; \
+	exit $$status
 
 bench: env
 	$(BIN)/python benchmarks/check.py
