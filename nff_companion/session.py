@@ -1,7 +1,8 @@
 """The only loop: messages and a time in, messages out. No socket, no clock: daemon, doctor and trials are its users.
 
-link -> telemetry -> residual -> estimate -> decision -> allocation -> command -> link, once a sample in ``_sampled``;
-what is due between samples in ``due``. Times ``now_s`` are of one monotonic clock, whichever.
+link -> telemetry -> residual -> estimate -> decision -> allocation -> command -> link, once a sample: in ``take`` what
+answers it, in ``think`` the rest; what is due between samples in ``due``. Times ``now_s`` are of one monotonic clock,
+whichever.
 """
 
 from __future__ import annotations
@@ -51,6 +52,16 @@ class Outgoing:
 
     message: Message
     port: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    """A sample that was answered and not yet estimated from."""
+
+    adapter: Adapter
+    sample: Sample
+    answer: np.ndarray | None
+    now_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +120,7 @@ class Session:
         self.reporter.built_for_hz = companion.rate_hz
         self._next_heartbeat_s = self._next_host_s = self._next_look_s = -np.inf
         self._now_s = now_s
+        self._pending: _Pending | None = None
         self._news: list[tuple[float, Event]] = []
         self._out: list[Outgoing] = []
 
@@ -187,7 +199,8 @@ class Session:
     # -- in -----------------------------------------------------------------------------------------------------
 
     def take(self, message: Message, port: int, now_s: float) -> list[Outgoing]:
-        """One message that has arrived at a port; what is to be sent."""
+        """One message that has arrived at a port; what is to be sent, and then ``think``."""
+        self._estimated()
         self._now_s = now_s
         kind = message.get_type()
         self._twins.hear(message, self.system, now_s)
@@ -209,11 +222,18 @@ class Session:
         self._streams.heard(message.get_msgId(), now_s)
         sample = adapter.observe(message, now_s)
         if sample is not None:
-            self._sampled(adapter, sample, now_s)
+            self._answered(adapter, sample, now_s)
+        return self._flushed()
+
+    def think(self) -> list[Outgoing]:
+        """Estimate from the sample that was taken last, once its answer is on its way; what is to be sent. Whoever does
+        not call this is served at the next ``take``, ``order``, ``due`` or ``leave``."""
+        self._estimated()
         return self._flushed()
 
     def order(self, orders: Orders, now_s: float) -> list[Outgoing]:
         """The operator's word, at once; what is to be sent."""
+        self._estimated()
         self._now_s = now_s
         self._obey(orders)
         return self._flushed()
@@ -239,6 +259,7 @@ class Session:
 
     def leave(self, now_s: float) -> list[Outgoing]:
         """The end: the vehicle is given back; confirmed declarations stay."""
+        self._estimated()
         adapter = self.adapter
         if adapter is not None and np.isfinite(self._sample_s) and not self._elsewhere():
             self._schedule, commands = schedule.released(self._schedule, self.autopilot_time_s(now_s), leaving=True)
@@ -251,7 +272,8 @@ class Session:
 
     # -- one sample ---------------------------------------------------------------------------------------------
 
-    def _sampled(self, adapter: Adapter, sample: Sample, now_s: float) -> None:
+    def _answered(self, adapter: Adapter, sample: Sample, now_s: float) -> None:
+        """What answers the sample at once; what is to be estimated from it waits in ``_pending``."""
         if self._lost and sample.time_s == self._sample_time_s:
             return  # the same again and again is silence
         self._rate.add(sample.time_s)
@@ -264,8 +286,16 @@ class Session:
         self.state, answer = self._companion.respond(self.state, sample, condition)
         if answer is not None and self._options.act:
             self._command(adapter, [Drive(sample.time_s, answer)])
-        self.state, output = self._companion.step(self.state, sample, condition, override=answer)
-        self._commands(adapter, output, output.time_s)
+        self._pending = _Pending(adapter, sample, answer, now_s)
+
+    def _estimated(self) -> None:
+        """The step that the last sample asked for, once."""
+        pending, self._pending = self._pending, None
+        if pending is None:
+            return
+        sample, now_s, condition = pending.sample, pending.now_s, self._condition
+        self.state, output = self._companion.step(self.state, sample, condition, override=pending.answer)
+        self._commands(pending.adapter, output, output.time_s)
         if sample.time_s != self._sample_time_s:
             self._sample_time_s, self._sample_s, self._lost = sample.time_s, now_s, False
         self._engaged = self.state.phase.flying and (self._engaged or (output.flying and output.mode != Mode.OBSERVE))
@@ -372,6 +402,7 @@ class Session:
 
     def due(self, now_s: float) -> list[Outgoing]:
         """What is due at ``now_s``, whether or not anything arrives."""
+        self._estimated()
         self._now_s = now_s
         self._adoption.tick(now_s, acting=self._acting(now_s))
         if self._adoption.adapter is not self._met:

@@ -10,6 +10,7 @@ from nff_companion.mavlink.hub import Hub
 from nff_companion.session import Outgoing, Session
 
 IDLE_S = 0.05  # longest wait for a datagram: heartbeats and the watchdog come from this loop
+_DUE_S = 0.005  # between two looks at what is due: datagrams that come close together are not held up by them
 
 
 class Loop:
@@ -21,9 +22,11 @@ class Loop:
         self.poll = select.poll()
         self.hub = Hub(urls, 1, component, self.poll, clock())
         self._system: int | None = None
+        self._due_s = clock()
 
-    def turn(self, session: Session, wait_s: float, other: Callable[[int], None] | None = None) -> None:
-        """Once round; ``other`` is given descriptors with input that are not the hub's."""
+    def turn(self, session: Session, wait_s: float, other: Callable[[int], None] | None = None) -> bool:
+        """Once round; ``other`` is given descriptors with input that are not the hub's. Returns whether what is due was
+        looked at too, which is not at every turn."""
         for descriptor, _ in self.poll.poll(1e3 * wait_s):
             if not self.hub.owns(descriptor):
                 if other is not None:
@@ -34,14 +37,19 @@ class Loop:
                 outgoing = session.take(message, port, self.clock())
                 self._follow(session)
                 self.send(outgoing)
+                self.send(session.think())
                 if session.reporter.counters.samples != before:
                     session.reporter.took(time.perf_counter() - began)
         now = self.clock()
+        if 0.0 <= now - self._due_s < _DUE_S:
+            return False
+        self._due_s = now
         self._count(session)
         outgoing = session.due(now)
         self._follow(session)
         self.send(outgoing)
         self.hub.maintain(now)
+        return True
 
     def send(self, outgoing: Iterable[Outgoing]) -> None:
         """Send what a session wants to be sent."""

@@ -64,7 +64,8 @@ class Daemon:
 
     def turn(self, wait_s: float) -> None:
         """Once round the loop: wait for input, handle it, then what is due."""
-        self.loop.turn(self.session, wait_s, self._monitor)
+        if not self.loop.turn(self.session, wait_s, self._monitor):
+            return
         now = self.loop.clock()
         if now >= self._next_watchdog_s:
             self._next_watchdog_s = now + (self._notifier.watchdog_interval_s or 1.0)
