@@ -386,10 +386,13 @@ class Session:
         if adapter is None:
             self.state, _ = self._companion.interrupted(self.state, _NOTHING, Statement(Reason.WAITING))
             return
-        if self._met_system not in (None, adapter.target[0]):
-            self.state = self._companion.start(self.state.mode)
+        if self._met_system != adapter.target[0]:
+            self._streams = StreamMonitor()
+            if self._met_system is not None:
+                self.state = self._companion.start(self.state.mode)
         self._met_system = adapter.target[0]
-        self._ports, self._streams = PortChoice(), StreamMonitor()
+        self._streams.ask_again()
+        self._ports = PortChoice()
         self._condition = self._conditioned(adapter, now_s)
         self._parameters.adopt(adapter.target[0])
         self._sync.adopt(adapter.target[0])
@@ -427,7 +430,7 @@ class Session:
         why = Statement(Reason.TELEMETRY_STOPPED)
         self.state, output = self._companion.interrupted(self.state, self._condition, why)
         self._rate.restart()
-        self._streams = StreamMonitor()  # it may have restarted, and forgotten what it was asked for
+        self._streams.ask_again()
         self.reporter.silent()
         self._unconfirmed_s = self._confirmation.step(output, self._condition, now_s)
         self._say_verdict(now_s)

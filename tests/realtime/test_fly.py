@@ -159,7 +159,7 @@ def test_a_companion_that_is_never_ready_for_want_of_speed_is_no_failed_flight(
     step = Fleet.step
 
     def slowly(fleet: Fleet) -> None:
-        time.sleep(0.02)  # a machine that takes eight times as long
+        time.sleep(0.03)  # a machine that takes twelve times as long
         step(fleet)
 
     monkeypatch.setattr(Fleet, "step", slowly)

@@ -44,6 +44,10 @@ class StreamMonitor:
         self._asked_s = -float("inf")
         self._first_asked_s: float | None = None
 
+    def ask_again(self) -> None:
+        """The autopilot may have restarted: what it did not have is asked for again."""
+        self._asked.clear()
+
     def heard(self, message_id: int, now_s: float) -> None:
         """Note one message."""
         times = self._arrivals.get(message_id)
