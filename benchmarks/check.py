@@ -57,7 +57,11 @@ def main() -> int:
     trim, pinv = methods["trim"]["median_us"], methods["pinv"]["median_us"]
     adaptation = adaptation_bench.measure("octo-x")
     found = {
-        "loop": {"ratio_p50_max": loop["ratio_p50"], "rss_mb_max": loop["rss_mb"]},
+        "loop": {
+            "ratio_p50_max": loop["ratio_p50"],
+            "ratio_p99_max": round(loop["p99_us"] / loop["echo_p50_us"], 2),
+            "rss_mb_max": loop["rss_mb"],
+        },
         "allocation": {"trim_median_us_max": trim, "trim_over_pinv_max": round(trim / pinv, 2)},
         "adaptation": {"median_us_max": adaptation["median_us"], "over_solve_max": adaptation["over_solve"]},
         "step": {"step_over_solve_max": round(step_over_solve(), 2)},
