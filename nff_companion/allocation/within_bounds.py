@@ -28,7 +28,7 @@ def constrain(
     driven; an axis given up (zero column of A) does not count.
     """
     out = matrix @ demand
-    if out.min() >= 0.0 and out.max() <= 1.0:
+    if _within(out):
         return out, demand
     used = effectiveness.any(axis=0)
     wanted = matrix.any(axis=0)
@@ -46,6 +46,11 @@ def constrain(
     return clipped, served
 
 
+def _within(thrust: np.ndarray) -> bool:
+    values = thrust.tolist()
+    return min(values) >= 0.0 and max(values) <= 1.0
+
+
 def _room(value: np.ndarray, part: np.ndarray) -> float:
     """Largest share of ``part`` in 0..1 that ``value`` + share * part keeps within 0..1."""
     limit = np.where(part > 0.0, 1.0 - value, value)
@@ -61,7 +66,7 @@ def desaturate(
     Returns the thrusts and the demand that was served.
     """
     out = matrix @ demand
-    if out.min() >= 0.0 and out.max() <= 1.0:
+    if _within(out):
         return out, demand
     served = demand.copy()
     attitude = matrix[:, 1:3] @ served[1:3]

@@ -79,10 +79,11 @@ class Adoption:
         if known is None:
             return False
         known.heard_s = now_s
-        if message.get_msgId() == dialect.MAVLINK_MSG_ID_NFF_APPLIED:
+        applied = message.get_msgId() == dialect.MAVLINK_MSG_ID_NFF_APPLIED
+        if applied:
             _note_dialect(known, now_s)
-        if not acting:
-            self._settle(now_s)
+        if not acting and (applied or self.adapter is None or known.heartbeat is message):
+            self._settle(now_s)  # what time alone changes is settled by ``tick``
         return system == self.system
 
     def tick(self, now_s: float, *, acting: bool) -> None:

@@ -7,6 +7,8 @@ stopped is never mistaken for motors that stand still.
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import numpy as np
 
 from nff_companion.core.sample import Sample
@@ -45,7 +47,7 @@ class TelemetryDecoder:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
-        self._names = [f"servo{i}_raw" for i in range(1, vehicle.motors + 1)]
+        self._pulses = attrgetter(*[f"servo{i}_raw" for i in range(1, min(vehicle.motors, _MAX_SERVOS) + 1)])
         self._armed: bool | None = None  # not heard
         self._beyond = f"servo{vehicle.motors + 1}_raw" if vehicle.motors < _MAX_SERVOS else ""
         self.drives_more = False  # outputs than the airframe has motors
@@ -102,9 +104,9 @@ class TelemetryDecoder:
             return
         if self._vehicle.motors > _MAX_SERVOS:
             return
-        pwm = np.array([getattr(message, name) for name in self._names], float)
-        self._output = self._vehicle.output_of_pwm(pwm)
-        if self._armed and pwm.min() <= 0.0:
+        pulses = self._pulses(message)
+        self._output = self._vehicle.output_of_pwm(np.array(pulses, float))
+        if self._armed and min(pulses) <= 0:
             # An output that an armed autopilot does not drive is no motor: the airframe is another one.
             self._output = np.full_like(self._output, np.nan)
         self._output_usec = message.time_usec
@@ -116,7 +118,7 @@ class TelemetryDecoder:
         for k, rpm in enumerate(message.rpm):
             motor = message.index + k
             if motor < self._vehicle.motors and read_s != self._speed_s[motor]:
-                self._speed[motor], self._speed_s[motor] = abs(rpm) * _RPM, read_s
+                self._read_speed(motor, abs(rpm) * _RPM, read_s)
 
     def _esc_telemetry(self, message: Message) -> None:
         """Four servo outputs; ``count`` grows with each reading of the ESC, and stands when it says no more."""
@@ -125,7 +127,12 @@ class TelemetryDecoder:
             motor = first + k
             if motor < self._vehicle.motors and count != self._speed_count[motor]:
                 self._speed_count[motor] = count
-                self._speed[motor], self._speed_s[motor] = rpm * _RPM, self._now_s
+                self._read_speed(motor, rpm * _RPM, self._now_s)
+
+    def _read_speed(self, index: int, speed_rad_s: float, read_s: float) -> None:
+        """Into new arrays: the samples before keep theirs."""
+        self._speed, self._speed_s = self._speed.copy(), self._speed_s.copy()
+        self._speed[index], self._speed_s[index] = speed_rad_s, read_s
 
     def _attitude(self, message: Message) -> None:
         self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
@@ -182,6 +189,6 @@ class TelemetryDecoder:
             target_velocity_m_s=self._target_velocity if aimed else None,
             target_acceleration_m_s2=self._target_acceleration if aimed else None,
             landed=self._landed,
-            rotor_speed_rad_s=self._speed.copy(),
-            rotor_speed_time_s=self._speed_s.copy(),
+            rotor_speed_rad_s=self._speed,
+            rotor_speed_time_s=self._speed_s,
         )

@@ -41,6 +41,7 @@ class Sample:
         q, velocity = self.quaternion, self.velocity_m_s
         if q is None or velocity is None:
             return False
-        # Comparisons with NaN are false. Components first: the square of a large one would overflow.
-        unit = float(np.abs(q).max()) < 2.0 and abs(float(q @ q) - 1.0) < 0.05
-        return unit and float(np.abs(velocity).max()) <= _SPEED_MAX_M_S
+        # Comparisons with NaN are false.
+        w, x, y, z = q.tolist()
+        unit = abs(w * w + x * x + y * y + z * z - 1.0) < 0.05
+        return unit and all(-_SPEED_MAX_M_S <= v <= _SPEED_MAX_M_S for v in velocity.tolist())

@@ -125,7 +125,7 @@ class Vehicle:
     def output_of_pwm(self, pwm_us: np.ndarray) -> np.ndarray:
         """Motor output 0..1 of a pulse width."""
         c = self.command
-        return np.clip((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0, 1.0)
+        return np.minimum(np.maximum((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0), 1.0)
 
     def with_telemetry(self, telemetry: TelemetryTable) -> Vehicle:
         """The same airframe behind other filters."""

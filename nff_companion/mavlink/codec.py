@@ -1,7 +1,7 @@
 """MAVLink framing with our dialect: buffers in, messages out, and back. Never sees a socket.
 
-The frames are found here and decoded by the generated dialect. Its own parser believes every header: two bytes of
-garbage make it swallow all frames of the next 267 bytes.
+The frames are found here; those without texts are decoded in ``frame``, all others by the generated dialect. Its own
+parser believes every header: two bytes of garbage make it swallow all frames of the next 267 bytes.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import re
 import struct
 from types import ModuleType
 from typing import Any
+
+from nff_companion.mavlink.frame import formats
 
 os.environ.setdefault("MAVLINK20", "1")
 try:
@@ -33,6 +35,7 @@ _LONGEST = _OVERHEAD_V2 + 255 + _SIGNATURE
 _SIGNED = 0x01
 _TRIES = 256  # false headers in a row after which a datagram is given up: they cost more time than frames
 _START = re.compile(b"[\xfd\xfe]")
+_FORMATS = formats(dialect)
 
 
 def has_fast_crc() -> bool:
@@ -150,6 +153,10 @@ class Codec:
 
     def _decode(self, frame: bytes) -> Message | None:
         """The message; None when the checksum or the content is wrong, or its id unknown."""
+        if frame[0] == _V2 and not frame[2]:
+            known = _FORMATS.get(frame[7] | frame[8] << 8 | frame[9] << 16)
+            if known is not None:
+                return known.decode(frame)
         try:
             message = self._mav.decode(bytearray(frame))
         except (dialect.MAVError, struct.error):
