@@ -12,46 +12,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 
-from nff_companion.announcer import Announcer
 from nff_companion.autopilots import schedule
-from nff_companion.autopilots.adoption import Adoption
 from nff_companion.autopilots.base import Adapter, Finding, Permit
 from nff_companion.autopilots.meeting import Meeting
-from nff_companion.autopilots.port import PortChoice
 from nff_companion.autopilots.schedule import Command, Drive, ScheduleState
-from nff_companion.autopilots.twins import Twins
 from nff_companion.companion import Companion
 from nff_companion.companion_state import NO_ORDERS, Orders, Output
-from nff_companion.condition import Condition, Mode, Reason, Statement, first
+from nff_companion.condition import Condition, Mode, Reason, Statement
 from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
-from nff_companion.core.sample_rate import Agreement
 from nff_companion.core.tuning import Tuning
-from nff_companion.mavlink.codec import Message, dialect
+from nff_companion.mavlink.codec import Message
 from nff_companion.mavlink.services.parameter_server import ParameterServer
-from nff_companion.mavlink.services.streams import Stream, StreamMonitor
-from nff_companion.mavlink.services.timesync import TimeSync
 from nff_companion.reporting import Moment, Reporter
 from nff_companion.settings import settings
+from nff_companion.vehicle_link import Outgoing, VehicleLink
 from nff_companion.verdict import Confirmation, numbers, verdict
+from nff_companion.voice import Voice
 
-_HEARTBEAT_S = 1.0
-_HOST_S = 2.0
 _LOOK_S = 1.0
-_ASK_WHO_S = 0.2
 _GONE_S = 5.0  # without a sample: whoever was being helped is out of reach
-_ELSEWHERE = (Reason.TWIN, Reason.AMBIGUOUS)  # somebody else may be commanding this vehicle
 _NOTHING = Condition()
-
-
-@dataclass(frozen=True, slots=True)
-class Outgoing:
-    """A message to be sent through one port, None: through all."""
-
-    message: Message
-    port: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,24 +70,19 @@ class Session:
         host_status: Callable[[], Message] | None = None,
     ) -> None:
         """``host_status`` makes ONBOARD_COMPUTER_STATUS, where there is a computer to speak of."""
-        self._companion, self._options, self._host_status = companion, options, host_status
+        self._companion, self._options = companion, options
         self.state = companion.start(options.mode)
         self._orders = NO_ORDERS
         self._schedule = ScheduleState.start(companion.vehicle.motors)
         self._confirmation = Confirmation()
         self._unconfirmed_s: float | None = None
-        self._adoption = Adoption(meeting, options.system)
+        self._link = VehicleLink(meeting, system=options.system, component=options.component, rate_hz=options.rate_hz)
         self._met: Adapter | None = None  # the adapter that the state below belongs to
         self._met_system: int | None = None
-        self._ports = PortChoice()
-        self._asked_who_s = self._sample_s = -np.inf  # of our clock
+        self._sample_s = -np.inf  # of our clock
         self._sample_time_s: float | None = None  # of the autopilot's clock
         self._lost, self._adopted, self._engaged = True, False, False
-        self._rate = Agreement(options.rate_hz)
         self._condition = _NOTHING
-        self._twins = Twins(meeting.instance)
-        self._streams, self._announcer = StreamMonitor(), Announcer()
-        self._sync = TimeSync(options.component)
         self._parameters = ParameterServer(
             settings(
                 companion.vehicle.motors,
@@ -118,7 +95,8 @@ class Session:
         )
         self.reporter = Reporter(companion.vehicle, companion.network, meeting.instance)
         self.reporter.built_for_hz = companion.rate_hz
-        self._next_heartbeat_s = self._next_host_s = self._next_look_s = -np.inf
+        self._voice = Voice(self.reporter, host_status, act=options.act)
+        self._next_look_s = -np.inf
         self._now_s = now_s
         self._pending: _Pending | None = None
         self._news: list[tuple[float, Event]] = []
@@ -139,12 +117,12 @@ class Session:
     @property
     def adapter(self) -> Adapter | None:
         """Of the vehicle adopted."""
-        return self._adoption.adapter
+        return self._link.adapter
 
     @property
     def system(self) -> int | None:
         """Of the vehicle adopted."""
-        return self._adoption.system
+        return self._link.system
 
     def _acting(self, now_s: float) -> bool:
         """Whether this flight has been helped: until it ends, or the vehicle is out of reach, it stays ours."""
@@ -172,7 +150,7 @@ class Session:
         age = now_s - self._sample_s
         faults = self._companion.speed_faults(self.state)
         document = self.reporter.document(self.moment(), age if np.isfinite(age) else None, faults)
-        trip = self._sync.round_trip_s
+        trip = self._link.round_trip_s
         document["round_trip_ms"] = None if trip is None else round(1e3 * trip, 2)
         return document
 
@@ -184,17 +162,11 @@ class Session:
         out = [Finding("link", True, f"autopilot of system {adapter.target[0]}, adapter {adapter.name}")]
         if self._condition.armed:
             out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
-        for obstacle in (self._adoption.obstacle(acting=False), self._twins.obstacle(now_s, acting=False)):
-            if obstacle is not None:
-                out.append(Finding("vehicle", False, obstacle.text))
+        out += self._link.findings(now_s)
         network = self._companion.network
         out.append(Finding("network", True, "none: a constant basis" if network is None else network.label))
         out += adapter.findings()
-        slow = self._streams.slow(adapter.streams(self._options.rate_hz), now_s)
-        wrong = [f"{name} {rate:.0f} of {asked:.0f} Hz" for name, (rate, asked) in slow.items()]
-        off = self._rate_off()
-        wrong += [] if off is None else [off.text]
-        return [*out, Finding("rates", not wrong, ", ".join(wrong) or f"all streams at {self._rate.agreed_hz:.0f} Hz")]
+        return [*out, self._link.rates(now_s, self._companion.rate_hz)]
 
     # -- in -----------------------------------------------------------------------------------------------------
 
@@ -203,23 +175,20 @@ class Session:
         self._estimated()
         self._now_s = now_s
         kind = message.get_type()
-        self._twins.hear(message, self.system, now_s)
-        ours = self._adoption.hear(message, now_s, acting=self._acting(now_s))
-        if self._adoption.adapter is not self._met:
-            self._meet(self._adoption.adapter, now_s)
+        ours = self._link.hear(message, now_s, acting=self._acting(now_s))
+        adapter = self.adapter
+        if adapter is not self._met:
+            self._meet(adapter, now_s)
         if kind == "HEARTBEAT":
-            self._note(self._adoption.notes(), now_s)
-        if kind == "TIMESYNC":
-            self._send_all(self._sync.observe(message, round(1e9 * now_s)), port)
+            self._send_all(self._voice.notes(self._link.vehicles_heard(), now_s))
+        elif kind == "TIMESYNC":
+            self._out += self._link.synchronised(message, port, now_s)
         elif kind.startswith("PARAM_"):
             self._send_all(self._parameters.answer(message), port)
-        adapter = self.adapter
         if adapter is None and self._options.act:
-            self._ask_who(message, port, now_s)
-        imu = message.get_msgId() == dialect.MAVLINK_MSG_ID_HIGHRES_IMU
-        if not ours or adapter is None or not self._ports.takes(port, sample=imu, now_s=now_s):
+            self._out += self._link.ask_who(message, port, now_s)
+        if not ours or adapter is None or not self._link.takes(message, port, now_s):
             return self._flushed()
-        self._streams.heard(message.get_msgId(), now_s)
         sample = adapter.observe(message, now_s)
         if sample is not None:
             self._answered(adapter, sample, now_s)
@@ -276,7 +245,7 @@ class Session:
         """What answers the sample at once; what is to be estimated from it waits in ``_pending``."""
         if self._lost and sample.time_s == self._sample_time_s:
             return  # the same again and again is silence
-        self._rate.add(sample.time_s)
+        self._link.sampled(sample.time_s)
         if not self.state.watching:
             self._agree()
         condition = self._condition = self._conditioned(adapter, now_s)
@@ -303,9 +272,7 @@ class Session:
         self.reporter.step_done(output, now_s)
         for event in output.events:
             self._news.append((now_s, event))
-            if self._options.act:
-                self._send(self.reporter.event(event), None)
-                self._send_all(self._announcer.event(event, now_s), None)
+            self._send_all(self._voice.event(event, now_s))
         self._say_verdict(now_s)
 
     def _commands(self, adapter: Adapter, output: Output, time_s: float) -> None:
@@ -317,22 +284,16 @@ class Session:
             return
         for command in commands:
             for message in adapter.encode(command):
-                self._send(message, self._ports.port)
+                self._out.append(Outgoing(message, self._link.port))
                 self.reporter.counters.commands_sent += 1
 
     def _conditioned(self, adapter: Adapter, now_s: float) -> Condition:
-        """The adapter's word, and what stands in the way besides."""
-        condition = adapter.condition(now_s)
-        acting, samples = self._acting(now_s), self._rate_off()
-        mine = first(self._twins.obstacle(now_s, acting=acting), self._adoption.obstacle(acting=acting))
-        if mine is None and samples is None:
-            return condition
-        return replace(condition, command=first(mine, condition.command), samples=samples)
+        acting, built_hz = self._acting(now_s), self._companion.rate_hz
+        return self._link.condition(adapter, now_s, acting=acting, built_hz=built_hz)
 
     def _elsewhere(self) -> bool:
         """Whether the vehicle is somebody else's now."""
-        command = self._condition.command
-        return command is not None and command.reason in _ELSEWHERE
+        return self._link.elsewhere(self._condition)
 
     def _taken_over(self, condition: Condition) -> Orders:
         """After a restart in flight, or when another companion is gone, the autopilot knows better than we do what has
@@ -345,12 +306,12 @@ class Session:
             return Orders(adopt=tuple(numbers(held))) if condition.armed else NO_ORDERS
         return NO_ORDERS
 
-    # -- rate and port ------------------------------------------------------------------------------------------
+    # -- who is there -------------------------------------------------------------------------------------------
 
     def _agree(self) -> None:
         """Between flights the companion is built for the samples and the filters that there are."""
         built, telemetry = self._companion, self._condition.telemetry
-        rate = self._rate.build_for(built.rate_hz)
+        rate = self._link.rate_to_build_for(built.rate_hz)
         if rate != built.rate_hz or (telemetry is not None and telemetry != built.vehicle.telemetry):
             self._rebuild(built.rebuilt(rate_hz=rate, telemetry=telemetry))
 
@@ -358,48 +319,23 @@ class Session:
         self._companion = companion
         self.reporter.built_for_hz = companion.rate_hz
 
-    def _rate_off(self) -> Statement | None:
-        """Why the samples are not those that the estimator was built for."""
-        built = self._companion.rate_hz
-        measured = self._rate.off_hz(built)
-        return None if measured is None else Statement(Reason.RATE, f"{measured:.0f} instead of {built:.0f}")
-
-    def _ask_who(self, message: Message, port: int, now_s: float) -> None:
-        """A vehicle that is heard, but not yet known: after a restart in flight nobody waits for its next heartbeat."""
-        target = (message.get_srcSystem(), dialect.MAV_COMP_ID_AUTOPILOT1)
-        known = self._adoption.knows(target[0]) or message.get_srcComponent() != target[1]
-        if known or now_s - self._asked_who_s < _ASK_WHO_S:
-            return
-        self._asked_who_s = now_s
-        heartbeat = float(dialect.MAVLINK_MSG_ID_HEARTBEAT)
-        values = (0, heartbeat, *[0.0] * 6)
-        self._send(dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, *values), port)
-
     def _meet(self, adapter: Adapter | None, now_s: float) -> None:
         """Another vehicle, or another adapter for it: what was agreed with the last one does not hold."""
         self._met = adapter
         self._condition = _NOTHING
         self._schedule = ScheduleState.start(self._companion.vehicle.motors)
-        self._rate.restart()
         self._lost, self._adopted, self._engaged = True, False, False
         self._sample_s = -np.inf
         if adapter is None:
             self.state, _ = self._companion.interrupted(self.state, _NOTHING, Statement(Reason.WAITING))
             return
-        if self._met_system != adapter.target[0]:
-            self._streams = StreamMonitor()
-            if self._met_system is not None:
-                self.state = self._companion.start(self.state.mode)
+        if self._met_system not in (None, adapter.target[0]):
+            self.state = self._companion.start(self.state.mode)
         self._met_system = adapter.target[0]
-        self._streams.ask_again()
-        self._ports = PortChoice()
         self._condition = self._conditioned(adapter, now_s)
         self._parameters.adopt(adapter.target[0])
-        self._sync.adopt(adapter.target[0])
-        agreed = _sample_rate(adapter.streams(self._options.rate_hz), self._options.rate_hz)
-        self._rate = Agreement(agreed)
-        if not self.state.watching and agreed != self._companion.rate_hz:
-            self._rebuild(self._companion.rebuilt(rate_hz=agreed))
+        if not self.state.watching and self._link.agreed_hz != self._companion.rate_hz:
+            self._rebuild(self._companion.rebuilt(rate_hz=self._link.agreed_hz))
 
     # -- between samples ----------------------------------------------------------------------------------------
 
@@ -407,15 +343,15 @@ class Session:
         """What is due at ``now_s``, whether or not anything arrives."""
         self._estimated()
         self._now_s = now_s
-        self._adoption.tick(now_s, acting=self._acting(now_s))
-        if self._adoption.adapter is not self._met:
-            self._meet(self._adoption.adapter, now_s)
+        self._link.tick(now_s, acting=self._acting(now_s))
+        if self.adapter is not self._met:
+            self._meet(self.adapter, now_s)
         adapter = self.adapter
         if not self._lost and now_s - self._sample_s > self._options.stream_timeout_s:
             self._silence(now_s)
         if adapter is not None:
             if self._may_ask() and not self.state.fault:  # else whoever relies on us must see that we do not watch
-                self._send_all(adapter.due(now_s, self._permit()), self._ports.port)
+                self._send_all(adapter.due(now_s, self._permit()), self._link.port)
             if self._lost and self._schedule.lifted is not None:
                 self._condition = self._conditioned(adapter, now_s)
                 self._commands(adapter, self.output, self.autopilot_time_s(now_s))
@@ -429,8 +365,7 @@ class Session:
         self._lost = True
         why = Statement(Reason.TELEMETRY_STOPPED)
         self.state, output = self._companion.interrupted(self.state, self._condition, why)
-        self._rate.restart()
-        self._streams.ask_again()
+        self._link.silent()
         self.reporter.silent()
         self._unconfirmed_s = self._confirmation.step(output, self._condition, now_s)
         self._say_verdict(now_s)
@@ -446,62 +381,36 @@ class Session:
         return Permit.ACT if acts else Permit.TIDY
 
     def _introduce(self, now_s: float) -> None:
-        """Heartbeat, status, and how the computer fares."""
+        """Claim the vehicle; heartbeat, status, and how the computer fares."""
         able = self._options.act and not self.state.fault and self.state.mode != Mode.OBSERVE
-        if self._twins.step(now_s, acting=self._acting(now_s), able=able):
-            self._next_heartbeat_s = now_s
-        if now_s >= self._next_heartbeat_s and not self.state.fault:
-            # A companion whose estimator fails falls silent: whoever relies on it must see that.
-            self._next_heartbeat_s = now_s + _HEARTBEAT_S
-            self._send(self.reporter.heartbeat(self.output, self._twins.rank, act=self._options.act), None)
-        if not self._options.act:
-            return
-        self._send_all(self.reporter.due(self.moment(), now_s), None)
-        if self._host_status is not None and now_s >= self._next_host_s:
-            self._next_host_s = now_s + _HOST_S
-            self._send(self._host_status(), None)
+        changed = self._link.claim(now_s, acting=self._acting(now_s), able=able)
+        well = not self.state.fault
+        self._send_all(self._voice.due(self.moment(), self._link.rank, now_s, well=well, changed=changed))
 
     def _look(self, adapter: Adapter, now_s: float) -> None:
         """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""
-        streams = adapter.streams(self._options.rate_hz)
         if self._may_ask():
-            self._send_all(self._sync.tick(round(1e9 * now_s)), self._ports.port)
-            self._send_all(self._streams.requests(streams, adapter.target, now_s), self._ports.port)
+            self._send_all(self._link.requests(adapter, now_s), self._link.port)
         if self._lost or not self._options.act:
             self._condition = self._conditioned(adapter, now_s)
         if not self._options.act:
             return
-        self.reporter.slow_streams = {} if self._lost else self._streams.slow(streams, now_s)
-        for name, (rate, asked) in self.reporter.slow_streams.items():
-            slow = Statement(Reason.SLOW_STREAM, f"{name} {rate:.0f} Hz, {asked:.0f}")
-            self._send_all(self._announcer.note(slow, now_s, name), None)
-        notes = [*self._twins.notes(now_s), *adapter.condition(now_s).notes]
+        self.reporter.slow_streams = {} if self._lost else self._link.slow_streams(now_s)
+        self._send_all(self._voice.slow_streams(self.reporter.slow_streams, now_s))
+        notes = [*self._link.notes(now_s), *adapter.condition(now_s).notes]
         notes += [Statement(Reason.SPEED_SENSOR, str(m)) for m in self._companion.speed_faults(self.state)]
-        self._note(notes, now_s)
+        self._send_all(self._voice.notes(notes, now_s))
 
     # -- out ----------------------------------------------------------------------------------------------------
 
-    def _note(self, notes: Iterable[Statement], now_s: float) -> None:
-        if self._options.act:
-            for note in notes:
-                self._send_all(self._announcer.note(note, now_s), None)
-
     def _say_verdict(self, now_s: float) -> None:
         if self._options.act:
-            self._send_all(self._announcer.verdict(self.moment().verdict, now_s), None)
+            self._send_all(self._voice.verdict(self.moment().verdict, now_s))
 
-    def _send(self, message: Message, port: int | None) -> None:
-        self._out.append(Outgoing(message, port))
-
-    def _send_all(self, messages: Iterable[Message], port: int | None) -> None:
+    def _send_all(self, messages: Iterable[Message], port: int | None = None) -> None:
+        """Through one port, or all."""
         self._out += [Outgoing(message, port) for message in messages]
 
     def _flushed(self) -> list[Outgoing]:
         out, self._out = self._out, []
         return out
-
-
-def _sample_rate(streams: list[Stream], otherwise_hz: float) -> float:
-    """Rate of the inertial samples among the streams asked for."""
-    rates = [s.rate_hz for s in streams if s.message_id == dialect.MAVLINK_MSG_ID_HIGHRES_IMU]
-    return rates[0] if rates else otherwise_hz

@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Iterable
 
 from nff_companion.mavlink.hub import Hub
-from nff_companion.session import Outgoing, Session
+from nff_companion.session import Session
+from nff_companion.vehicle_link import Outgoing
 
 IDLE_S = 0.05  # longest wait for a datagram: heartbeats and the watchdog come from this loop
 _DUE_S = 0.005  # between two looks at what is due: datagrams that come close together are not held up by them

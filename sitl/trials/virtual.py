@@ -28,7 +28,8 @@ from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, Message
-from nff_companion.session import Outgoing, Session, SessionOptions
+from nff_companion.session import Session, SessionOptions
+from nff_companion.vehicle_link import Outgoing
 from sitl import rotation
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.trials.channel import Channel

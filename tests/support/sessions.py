@@ -10,7 +10,8 @@ from nff_companion.companion import Companion
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle
 from nff_companion.mavlink.codec import Codec, Message, dialect
-from nff_companion.session import Outgoing, Session, SessionOptions
+from nff_companion.session import Session, SessionOptions
+from nff_companion.vehicle_link import Outgoing
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
