@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from nff_companion.announcer import Announcer
 from nff_companion.autopilots import schedule
@@ -60,7 +61,7 @@ class _Pending:
 
     adapter: Adapter
     sample: Sample
-    answer: np.ndarray | None
+    answer: NDArray[np.float64] | None
     now_s: float
 
 

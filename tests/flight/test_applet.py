@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from applet_bench import INSTANCE, AppletBench, Kind, TunnelMessage
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots.ardupilot import factors as units
@@ -22,12 +23,12 @@ def bench(tmp_path: Path) -> AppletBench:
     return bench
 
 
-def rows(bench: AppletBench, mask: int) -> np.ndarray:
+def rows(bench: AppletBench, mask: int) -> NDArray[np.float64]:
     plans = tables.compute(bench.vehicle, allocator("trim"))
     return units.of_plans(bench.vehicle, plans)[mask]
 
 
-def near(bench: AppletBench, table: np.ndarray) -> bool:
+def near(bench: AppletBench, table: NDArray[np.float64]) -> bool:
     return bool(np.allclose(bench.factors, table / tunnel.FACTOR_SCALE, atol=1e-6))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
@@ -366,7 +367,7 @@ class OnTheWire:
         self._down, self._up = Codec(1, 191), Codec(1, 191)
 
     @property
-    def factors(self) -> np.ndarray:
+    def factors(self) -> NDArray[np.float64]:
         assert self.port.factors is not None
         return self.port.factors.copy()
 
@@ -534,7 +535,7 @@ def test_the_second_of_two_companions_says_that_there_is_another_and_takes_over_
 # -- whole companions -------------------------------------------------------------------------------------------------
 
 
-def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, np.ndarray, Counter[str]]:
+def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, NDArray[np.float64], Counter[str]]:
     """Eight seconds of an octo-x whose motor 3 fails at 6 s, with a companion that has the file of ``airframe_name``:
     the flight, the factors at its start, and what of the companion's is no publication."""
     plans = tables.compute(vehicle.load(airframe_name), allocator("trim"))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.base import Permit
 from nff_companion.autopilots.px4.adapter import Px4Adapter
@@ -183,19 +184,19 @@ def octo(ratio: float = 2.56) -> Vehicle:
     return vehicle_model.load("px4-octo-x", thrust_to_weight=ratio)
 
 
-def without(model: Vehicle, motors: Sequence[int]) -> np.ndarray:
+def without(model: Vehicle, motors: Sequence[int]) -> NDArray[np.float64]:
     """(m,) effectiveness with these motors (from 1) dead."""
     eta = np.ones(model.motors)
     eta[[motor - 1 for motor in motors]] = 0.0
     return eta
 
 
-def declare(eta: np.ndarray, time_s: float = 10.0) -> Declare:
+def declare(eta: NDArray[np.float64], time_s: float = 10.0) -> Declare:
     """Declaration of motor effectiveness (m,)."""
     return Declare(time_s, eta == 0.0, eta)
 
 
-def tell(adapter: Px4Adapter, px4: FakePx4, eta: np.ndarray, now_s: float) -> list[Message]:
+def tell(adapter: Px4Adapter, px4: FakePx4, eta: NDArray[np.float64], now_s: float) -> list[Message]:
     """Encode a declaration at ``now_s`` and hand it over; what was sent."""
     adapter.condition(now_s)
     messages = adapter.encode(declare(eta, now_s))

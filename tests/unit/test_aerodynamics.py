@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
 from sitl import airframe
@@ -18,7 +19,7 @@ def parameters() -> airframe.PlantParameters:
     return airframe.load(vehicle.path_of("octo-x"))
 
 
-def wind(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+def wind(x: float, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
     return np.array([[x, y, z]])
 
 

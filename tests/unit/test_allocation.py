@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from nff_companion.allocation import METHODS, allocator, authority, problem_for, within_bounds
@@ -83,7 +84,7 @@ def test_kim_is_optimal_against_random_feasible_directions(octo: vehicle.Vehicle
     matrix = allocator("kim")(problem)[1:]
     null = np.linalg.svd(problem.reduced)[2][4:]
 
-    def cost(candidate: np.ndarray) -> float:
+    def cost(candidate: NDArray[np.float64]) -> float:
         column = candidate[:, 0]
         return float(np.linalg.norm(candidate) + np.abs(column - column.mean()).sum() / len(column))
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from nff_companion.core import basis_network, vehicle
 from nff_companion.daemon import configuration
@@ -354,18 +355,18 @@ gap_max_s = 0.2
 # -- networks ---------------------------------------------------------------------------------------------------------
 
 
-def arrays_of(data: bytes) -> dict[str, np.ndarray]:
+def arrays_of(data: bytes) -> dict[str, NDArray[np.float64]]:
     with np.load(io.BytesIO(data)) as file:
         return {name: file[name] for name in file.files}
 
 
-def packed(arrays: dict[str, np.ndarray]) -> bytes:
+def packed(arrays: dict[str, NDArray[np.float64]]) -> bytes:
     out = io.BytesIO()
     np.savez(out, allow_pickle=True, **arrays)
     return out.getvalue()
 
 
-def changed(name: str, change: Callable[[np.ndarray], np.ndarray]) -> bytes:
+def changed(name: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> bytes:
     arrays = arrays_of(NETWORK)
     arrays[name] = change(arrays[name])
     return packed(arrays)

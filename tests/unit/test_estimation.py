@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from nff_companion.core import hypotheses, sparse
@@ -23,7 +24,7 @@ MODEL_ERROR_SHARE, YAW_ERROR_SHARE = TUNING.onset.model_error_share, TUNING.onse
 TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = TUNING.onset.together_error_share, TUNING.onset.single_error_share
 
 
-def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: np.ndarray, noise: float = 0.0):
+def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: NDArray[np.float64], noise: float = 0.0):
     b = octo.acceleration_effectiveness
     u = 0.4 + 0.1 * rng.standard_normal((samples, 8))
     y = np.einsum("ni,ki,i->kn", b, u, loss) + noise * rng.standard_normal((samples, 4))
@@ -55,7 +56,7 @@ def test_sparse_step_is_the_minimum_of_the_written_cost(octo: Vehicle, rng: np.r
     for k in range(80):
         state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
 
-    def cost(e: np.ndarray) -> float:
+    def cost(e: NDArray[np.float64]) -> float:
         misfit = y - np.einsum("ni,ki,i->kn", b, u, e)
         return 0.5 * DT * float((misfit**2).sum()) + gamma * float(np.abs(e).sum())
 

@@ -7,6 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from golden import flights
+from numpy.typing import NDArray
 
 from nff_companion.core import basis_network
 from nff_companion.core.estimator import Estimate, Estimator, Measurement, Motion
@@ -31,7 +32,7 @@ def measurements(octo: Vehicle, name: str) -> list[Measurement]:
     ]
 
 
-def arrays(estimate: Estimate) -> dict[str, np.ndarray]:
+def arrays(estimate: Estimate) -> dict[str, NDArray[np.float64]]:
     values = {f.name: getattr(estimate, f.name) for f in fields(estimate)}
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
