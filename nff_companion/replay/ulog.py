@@ -96,8 +96,7 @@ def _armed(
 ) -> NDArray[np.bool_]:
     """Armed flag; where the commands are those of a controller of the user's own, thrust is the flag."""
     if mapping.unit == "N" or "actuator_armed" not in tables:
-        driven: NDArray[np.bool_] = (command[np.maximum(newest, 0)] > 0.0).any(axis=1)
-        return driven
+        return cast("NDArray[np.bool_]", (command[np.maximum(newest, 0)] > 0.0).any(axis=1))
     flag: NDArray[np.bool_] = np.asarray(tables["actuator_armed"]["armed"], bool)
     index = _newest(_time(tables["actuator_armed"]), time_s)
     return flag[np.maximum(index, 0)] & (index >= 0)

@@ -95,7 +95,7 @@ class AppletBench:
         fields = {"sample_ms": self.now_ms - age_ms, "failed": mask, **(values or {})}
         self.send(TunnelMessage(Kind.DECLARATION, fields), **sender)
 
-    def table(self, mask: int, factors: NDArray[np.float64]) -> None:
+    def table(self, mask: int, factors: NDArray[np.int16]) -> None:
         self.send(TunnelMessage(Kind.TABLE, {"failed": mask}, factors))
 
     def release(self, *, leaving: bool = False, **sender: int) -> None:
@@ -103,14 +103,14 @@ class AppletBench:
         self.send(TunnelMessage(Kind.RELEASE, {"sample_ms": self.now_ms - 5, "flags": flags}), **sender)
 
     def matrix(
-        self, mask: int, factors: NDArray[np.float64], *, timeout_ms: int = 500, age_ms: int = 5, **extra: int
+        self, mask: int, factors: NDArray[np.int16], *, timeout_ms: int = 500, age_ms: int = 5, **extra: int
     ) -> None:
         values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, "failed": mask, "flags": 0, **extra}
         self.send(TunnelMessage(Kind.MATRIX, values, factors))
 
-    def override(self, pwm: NDArray[np.float64], *, timeout_ms: int = 50, age_ms: int = 5, **extra: int) -> None:
+    def override(self, pwm: NDArray[np.int_], *, timeout_ms: int = 50, age_ms: int = 5, **extra: int) -> None:
         values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, **extra}
-        self.send(TunnelMessage(Kind.OVERRIDE, values, pwm=pwm))
+        self.send(TunnelMessage(Kind.OVERRIDE, values, pwm=pwm.astype(np.uint16)))
 
 
 __all__ = ["AppletBench", "Kind", "TunnelMessage", "dialect"]

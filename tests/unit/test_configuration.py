@@ -8,6 +8,7 @@ import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,8 @@ def written(path: Path, data: str | bytes) -> Path:
 def having(text: str, **values: str) -> str:
     """``text`` with the first line of each key given another value."""
     for key, value in values.items():
-        text, count = re.subn(rf"(?m)^{key} = .*$", lambda _, k=key, v=value: f"{k} = {v}", text, count=1)
+        line = f"{key} = {value}".replace("\\", r"\\")
+        text, count = re.subn(rf"(?m)^{key} = .*$", line, text, count=1)
         assert count == 1, key
     return text
 
@@ -366,7 +368,7 @@ def packed(arrays: dict[str, NDArray[np.float64]]) -> bytes:
     return out.getvalue()
 
 
-def changed(name: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> bytes:
+def changed(name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> bytes:
     arrays = arrays_of(NETWORK)
     arrays[name] = change(arrays[name])
     return packed(arrays)

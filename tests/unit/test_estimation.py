@@ -24,7 +24,9 @@ MODEL_ERROR_SHARE, YAW_ERROR_SHARE = TUNING.onset.model_error_share, TUNING.onse
 TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = TUNING.onset.together_error_share, TUNING.onset.single_error_share
 
 
-def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: NDArray[np.float64], noise: float = 0.0):
+def data(
+    rng: np.random.Generator, octo: Vehicle, samples: int, loss: NDArray[np.float64], noise: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     b = octo.acceleration_effectiveness
     u = 0.4 + 0.1 * rng.standard_normal((samples, 8))
     y = np.einsum("ni,ki,i->kn", b, u, loss) + noise * rng.standard_normal((samples, 4))
@@ -155,7 +157,7 @@ def test_low_pass_and_lag_equal_scipy(rng: np.random.Generator) -> None:
 def test_residual_of_a_vehicle_that_does_what_the_model_says_is_nought(octo: Vehicle, rng: np.random.Generator) -> None:
     """Thrusts through lag, exact integration and the same gyro filter: no transient may remain."""
     chain = ResidualFilter(octo, DT)
-    chain._inertia = np.ones(3)  # no gyroscopic torque: it is checked below, by itself
+    chain._inertia = [1.0, 1.0, 1.0]  # no gyroscopic torque: it is checked below, by itself
     b = octo.acceleration_effectiveness
     low_pass = LowPass.design(octo.telemetry.gyro_filter_hz, DT)
     assert low_pass is not None

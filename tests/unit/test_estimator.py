@@ -11,9 +11,16 @@ from numpy.typing import NDArray
 
 from nff_companion.core import basis_network
 from nff_companion.core.estimator import Estimate, Estimator, Measurement, Motion
+from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 
 DT = 0.005
+
+
+def motion(sample: Sample) -> Motion:
+    assert sample.velocity_m_s is not None
+    assert sample.quaternion is not None
+    return Motion(sample.velocity_m_s, sample.quaternion)
 
 
 def measurements(octo: Vehicle, name: str) -> list[Measurement]:
@@ -25,7 +32,7 @@ def measurements(octo: Vehicle, name: str) -> list[Measurement]:
             gyro=sample.gyro_rad_s,
             specific_force=sample.specific_force_m_s2,
             command=octo.thrust_fraction(sample.output),
-            motion=Motion(sample.velocity_m_s, sample.quaternion),
+            motion=motion(sample),
             allocation_norm=2.0,
         )
         for sample in samples[400:]
