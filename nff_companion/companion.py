@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner
 from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
-from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
+from nff_companion.condition import Condition, Mode, Reason, Scalar, Statement, first, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
 from nff_companion.core.basis_network import Basis
@@ -115,7 +116,7 @@ class Companion:
 
     def respond(
         self, state: CompanionState, sample: Sample, condition: Condition
-    ) -> tuple[CompanionState, np.ndarray | None]:
+    ) -> tuple[CompanionState, NDArray[np.float64] | None]:
         """Motor outputs (m,) that answer ``sample`` in override mode, None in every other.
 
         To be called before ``step`` with the same sample: the answer rests on what was believed up to the sample
@@ -149,7 +150,7 @@ class Companion:
         sample: Sample | None,
         condition: Condition,
         orders: Orders = NO_ORDERS,
-        override: np.ndarray | None = None,
+        override: NDArray[np.float64] | None = None,
     ) -> tuple[CompanionState, Output]:
         """One sample; None: telemetry does not come, and the orders are taken all the same. ``override``: what
         ``respond`` answered to the sample. Never raises on bad input."""
@@ -205,7 +206,7 @@ class Companion:
         sample: Sample,
         condition: Condition,
         gap: float | None,
-        override: np.ndarray | None,
+        override: NDArray[np.float64] | None,
     ) -> tuple[CompanionState, Output]:
         """A good sample: on the ground nothing is estimated, in flight everything is."""
         time_s = sample.time_s
@@ -244,7 +245,7 @@ class Companion:
         return self._said(state, condition, time_s, estimate, override)
 
     def _estimated(
-        self, state: CompanionState, sample: Sample, command: np.ndarray, gap_s: float
+        self, state: CompanionState, sample: Sample, command: NDArray[np.float64], gap_s: float
     ) -> tuple[EstimatorState, Estimate]:
         """Raises SolverError, LinAlgError."""
         before = state.estimate
@@ -274,7 +275,7 @@ class Companion:
             estimate.lateral_m_s2 if parts.feed_lateral else nothing.push_m_s2,
         )
 
-    def _stopped(self, state: CompanionState, sample: Sample, command: np.ndarray) -> np.ndarray | None:
+    def _stopped(self, state: CompanionState, sample: Sample, command: NDArray[np.float64]) -> NDArray[np.bool_] | None:
         """(m,) bool: motors that stand still by their rotor speeds; None where no speeds come."""
         speed, read = sample.rotor_speed_rad_s, sample.rotor_speed_time_s
         if speed is None or read is None or speed.shape != command.shape or read.shape != command.shape:
@@ -323,7 +324,7 @@ class Companion:
         condition: Condition,
         time_s: float | None = None,
         estimate: Estimate | None = None,
-        override: np.ndarray | None = None,
+        override: NDArray[np.float64] | None = None,
     ) -> tuple[CompanionState, Output]:
         """The output; without a sample it bears the time of the last one."""
         mode, planning, failed = self._acting(state, condition), state.planning, state.failed
@@ -378,7 +379,7 @@ def _motion(sample: Sample) -> Motion | None:
     return Motion(velocity, quaternion)
 
 
-def _shut(array: np.ndarray) -> np.ndarray:
+def _shut(array: NDArray[Scalar]) -> NDArray[Scalar]:
     """The same numbers, which nobody can write to through it."""
     view = array.view()
     view.flags.writeable = False

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.allocation.planner import PlannerState
@@ -28,20 +29,20 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mode: Mode  # in effect
     obstacle: Statement | None  # why it is not the mode asked for, or why what was decided has no matrix
     flying: bool
-    failed: np.ndarray  # (m,) bool
-    effectiveness: np.ndarray  # (m,)
-    deviation: np.ndarray  # (m,)
-    degraded: np.ndarray  # (m,) bool: allocated around, not declared
+    failed: NDArray[np.bool_]  # (m,) bool
+    effectiveness: NDArray[np.float64]  # (m,)
+    deviation: NDArray[np.float64]  # (m,)
+    degraded: NDArray[np.bool_]  # (m,) bool: allocated around, not declared
     events: tuple[Event, ...]
     plan: Plan | None
-    override: np.ndarray | None  # (m,) motor outputs 0..1
+    override: NDArray[np.float64] | None  # (m,) motor outputs 0..1
     estimate: Estimate | None
-    unallocated: np.ndarray  # (n,)
+    unallocated: NDArray[np.float64]  # (n,)
     rejected: int  # matrices that failed the check so far
     bad_samples: int
 
     @property
-    def believed(self) -> np.ndarray:
+    def believed(self) -> NDArray[np.float64]:
         """(m,) effectiveness to be told: 0 of what is declared, of a partial loss what is left, of the rest 1."""
         partly = np.where(self.degraded, np.clip(self.effectiveness, 0.1, 1.0), 1.0)
         return read_only(np.where(self.failed, 0.0, partly))
@@ -62,7 +63,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Everything remembered between steps. ``failed`` is the one place where declared motors are kept."""
 
     mode: Mode  # asked for
-    failed: np.ndarray  # (m,) bool, read-only
+    failed: NDArray[np.bool_]  # (m,) bool, read-only
     last: Output
     phase: FlightPhaseState = msgspec.field(default_factory=FlightPhaseState)
     estimate: EstimatorState | None = None

@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from types import MappingProxyType
+from typing import TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.vehicle import TelemetryTable
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Mode(IntEnum):
@@ -123,11 +127,11 @@ class InForce(msgspec.Struct, frozen=True, eq=False):
     """What the autopilot says it has in force. ``failed`` (m,) bool, read-only; None: it has not said."""
 
     source: Source = Source.STOCK
-    failed: np.ndarray | None = None
+    failed: NDArray[np.bool_] | None = None
     yaw_released: bool = False
     refused: Mapping[str, int] = msgspec.field(default_factory=lambda: MappingProxyType({}))
 
-    def holds(self, failed: np.ndarray) -> bool:
+    def holds(self, failed: NDArray[np.bool_]) -> bool:
         """Whether exactly the motors ``failed`` (m,) bool are held failed."""
         return self.failed is not None and bool((self.failed == failed).all())
 
@@ -151,7 +155,7 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     unfinished: bool = False  # something of ours must be undone or confirmed before leaving
 
 
-def read_only(array: np.ndarray) -> np.ndarray:
+def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
     """A copy that nobody can write to."""
     out = np.array(array)
     out.flags.writeable = False

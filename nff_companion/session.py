@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots import schedule
 from nff_companion.autopilots.base import Adapter, Finding, Permit
@@ -42,7 +43,7 @@ class _Pending:
 
     adapter: Adapter
     sample: Sample
-    answer: np.ndarray | None
+    answer: NDArray[np.float64] | None
     now_s: float
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.times import CONFIRM_MAX_S
 from nff_companion.companion_state import Output
@@ -10,12 +11,12 @@ from nff_companion.condition import Condition, Mode, Reason, Source, Statement, 
 from nff_companion.core.parts import Parts
 
 
-def numbers(motors: np.ndarray) -> list[int]:
+def numbers(motors: NDArray[np.bool_]) -> list[int]:
     """Motors, from 1, of a mask (m,) bool."""
     return [int(i) + 1 for i in np.flatnonzero(motors)]
 
 
-def _listed(motors: np.ndarray) -> str:
+def _listed(motors: NDArray[np.bool_]) -> str:
     return ", ".join(map(str, numbers(motors)))
 
 

@@ -13,6 +13,7 @@ Each effect is the simplest form that has the right shape:
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.airframe import PlantParameters
 
@@ -34,7 +35,9 @@ class Aerodynamics:
         self._ahead = x[:, None] - x, y[:, None] - y  # [j, i]: from rotor i to rotor j
         self._disc = 2.0 * AIR_DENSITY_KG_M3 * np.pi * p.rotor_radius_m**2
 
-    def rotor_thrust(self, static_n: np.ndarray, air: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    def rotor_thrust(
+        self, static_n: NDArray[np.float64], air: NDArray[np.float64], height_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Thrust (N, m) at the rotor speeds that give ``static_n`` (N, m) in still air far from the ground.
 
         ``air`` (N, 3): velocity through the air, body frame; ``height_m`` (N,) above ground. The axial speed is not
@@ -55,7 +58,13 @@ class Aerodynamics:
             factor = factor * np.where(near, 1.0 / (1.0 - cushion), 1.0)[:, None]
         return static_n * factor
 
-    def _wake(self, air: np.ndarray, across: np.ndarray, induced_squared: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def _wake(
+        self,
+        air: NDArray[np.float64],
+        across: NDArray[np.float64],
+        induced_squared: NDArray[np.float64],
+        share: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
         """Share of thrust (N, m) that each rotor loses in the wakes of those ahead of it."""
         p = self._p
         moving = across > _STILL_M_S
@@ -73,7 +82,9 @@ class Aerodynamics:
         loss = p.wake_loss * share[:, None] * hit.max(axis=1)
         return np.where(moving[:, None], loss, 0.0)
 
-    def hub_moment(self, speed: np.ndarray, hub_x: np.ndarray, hub_y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hub_moment(
+        self, speed: NDArray[np.float64], hub_x: NDArray[np.float64], hub_y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Roll and pitch moment (N,) of all hubs by flapping; ``speed`` (N, m) over full, hub air speeds (N, m) m/s."""
         p = self._p
         back, side = p.flap_back_n_m_s_per_m, p.flap_side_n_m_s_per_m
@@ -82,7 +93,7 @@ class Aerodynamics:
         pitch = (speed * (back * hub_x - turned * hub_y)).sum(axis=1)
         return roll, pitch
 
-    def airframe_drag(self, air: np.ndarray) -> np.ndarray:
+    def airframe_drag(self, air: NDArray[np.float64]) -> NDArray[np.float64]:
         """Drag force (N, 3) in N, body frame."""
         area = np.where(air > 0.0, self._p.drag_area_m2[0], self._p.drag_area_m2[1])
         return -0.5 * AIR_DENSITY_KG_M3 * area * np.abs(air) * air

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 GRAVITY_M_S2 = 9.80665
 
@@ -18,14 +19,15 @@ class PlantParameters:
     """What the plant is made of. Arrays carry a leading vehicle axis N, so that each vehicle may differ."""
 
     name: str
-    mass_kg: np.ndarray  # (N,)
-    inertia_kg_m2: np.ndarray  # (N, 3)
-    position_m: np.ndarray  # (m, 2) x forward, y right
-    spin: np.ndarray  # (m,) +1: torque on the airframe about +z (rotor turns counter-clockwise seen from above)
-    max_thrust_n: np.ndarray  # (N, m)
-    time_constant_up_s: np.ndarray  # (N,)
-    time_constant_down_s: np.ndarray  # (N,)
-    torque_per_thrust_m: np.ndarray  # (N,)
+    mass_kg: NDArray[np.float64]  # (N,)
+    inertia_kg_m2: NDArray[np.float64]  # (N, 3)
+    position_m: NDArray[np.float64]  # (m, 2) x forward, y right
+    # (m,) +1: torque on the airframe about +z (rotor turns counter-clockwise seen from above)
+    spin: NDArray[np.float64]
+    max_thrust_n: NDArray[np.float64]  # (N, m)
+    time_constant_up_s: NDArray[np.float64]  # (N,)
+    time_constant_down_s: NDArray[np.float64]  # (N,)
+    torque_per_thrust_m: NDArray[np.float64]  # (N,)
     rotor_inertia_kg_m2: float
     max_speed_rad_s: float
     thrust_expo: float
@@ -35,8 +37,8 @@ class PlantParameters:
     pwm_max: float
     gyro_filter_hz: float
     accelerometer_filter_hz: float
-    drag_area_m2: np.ndarray  # (2, 3) flying towards +x, +y, +z; towards -x, -y, -z
-    pressure_centre_m: np.ndarray  # (3,)
+    drag_area_m2: NDArray[np.float64]  # (2, 3) flying towards +x, +y, +z; towards -x, -y, -z
+    pressure_centre_m: NDArray[np.float64]  # (3,)
     rotor_radius_m: float
     rotor_drag_n_s_per_m: float  # force of one rotor at full speed per m/s of its hub through the air
     hub_height_m: float  # of the rotors above the centre of mass
@@ -90,7 +92,7 @@ def load(path: Path, *, vehicles: int = 1, thrust_to_weight: float | None = None
     if thrust_to_weight is not None:
         max_thrust = thrust_to_weight * frame["mass_kg"] * GRAVITY_M_S2 / len(rotors)
 
-    def per_vehicle(value: float) -> np.ndarray:
+    def per_vehicle(value: float) -> NDArray[np.float64]:
         return np.full(vehicles, float(value))
 
     return PlantParameters(

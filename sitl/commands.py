@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.mavlink.codec import Message, dialect
 from sitl.autopilot.autopilot import Mode
@@ -135,7 +136,7 @@ class Commander:
             return _DENIED, []
         return self.go_to(np.array([*to_local(latitude, longitude), -height]), message.param4), []
 
-    def go_to(self, position_m: np.ndarray, yaw_rad: float = math.nan) -> int:
+    def go_to(self, position_m: NDArray[np.float64], yaw_rad: float = math.nan) -> int:
         """Result of a goal in NED (3,), at most 10 km from home; ``yaw_rad`` NaN keeps the heading."""
         autopilot = self._fleet.autopilot
         near = all(within(float(v), -_FAR_M, _FAR_M) for v in position_m)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 KINDS = ("total", "partial", "ramp", "intermittent", "stuck")
 
@@ -53,7 +54,7 @@ class FaultSchedule:
         self.faults = [f for f in self.faults if not (f.vehicle == vehicle and f.motor == motor)]
         self._next_change_s = -math.inf
 
-    def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Effectiveness and stuck mask at ``time_s``; recomputed only when a fault begins, ends or changes."""
         if time_s < self._next_change_s:
             return self._effectiveness, self._stuck

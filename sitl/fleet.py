@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import PlantParameters
@@ -30,7 +31,7 @@ class FleetOptions:
     wind_m_s: float | list[float] = 0.0  # for all, or one a vehicle
     turbulence_m_s: float | list[float] = 0.0
     height_m: float = 0.0
-    gusts: np.ndarray | None = None
+    gusts: NDArray[np.float64] | None = None
 
 
 class Fleet:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def vehicle_generators(seeds: list[int], stream: int) -> list[np.random.Generator]:
@@ -18,7 +19,7 @@ class NormalBlocks:
         self._buffer = np.empty((0, len(generators), width))
         self._index = 0
 
-    def next(self) -> np.ndarray:
+    def next(self) -> NDArray[np.float64]:
         """Draws (N, width) of the next step."""
         if self._index >= len(self._buffer):
             self._buffer = np.stack([g.standard_normal((self._block, self._width)) for g in self._generators], axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.aerodynamics import Aerodynamics
@@ -18,16 +19,16 @@ _BATTERY_DRAIN_PER_S = 3.0e-5  # of full-charge voltage, per second at full load
 class PlantState:
     """NED position and velocity, body-to-NED quaternion, body rates, thrust of each rotor, battery."""
 
-    position_m: np.ndarray  # (N, 3)
-    velocity_m_s: np.ndarray  # (N, 3)
-    quaternion: np.ndarray  # (N, 4)
-    rate_rad_s: np.ndarray  # (N, 3)
-    thrust_n: np.ndarray  # (N, m)
-    held_command: np.ndarray  # (N, m) last command while the motor was not stuck
-    battery: np.ndarray  # (N,) open-circuit voltage over full charge
-    acceleration_m_s2: np.ndarray  # (N, 3) NED, gravity included, of the last step
-    on_ground: np.ndarray  # (N,) bool
-    crashed: np.ndarray  # (N,) bool, latched
+    position_m: NDArray[np.float64]  # (N, 3)
+    velocity_m_s: NDArray[np.float64]  # (N, 3)
+    quaternion: NDArray[np.float64]  # (N, 4)
+    rate_rad_s: NDArray[np.float64]  # (N, 3)
+    thrust_n: NDArray[np.float64]  # (N, m)
+    held_command: NDArray[np.float64]  # (N, m) last command while the motor was not stuck
+    battery: NDArray[np.float64]  # (N,) open-circuit voltage over full charge
+    acceleration_m_s2: NDArray[np.float64]  # (N, 3) NED, gravity included, of the last step
+    on_ground: NDArray[np.bool_]  # (N,) bool
+    crashed: NDArray[np.bool_]  # (N,) bool, latched
 
 
 def full_load_share() -> float:
@@ -67,14 +68,19 @@ class Plant:
             self._share_up = 1 - np.exp(-dt_s / parameters.time_constant_up_s)[:, None]
             self._share_down = 1 - np.exp(-dt_s / parameters.time_constant_down_s)[:, None]
 
-    def thrust_fraction(self, output: np.ndarray) -> np.ndarray:
+    def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust over full thrust of the motor output (N, m) in 0..1 (command to thrust curve)."""
         p = self.parameters
         c = np.clip((output - p.spin_min) / (p.spin_max - p.spin_min), 0.0, 1.0)
         return (1 - p.thrust_expo) * c + p.thrust_expo * c * c
 
     def step(
-        self, state: PlantState, output: np.ndarray, effectiveness: np.ndarray, stuck: np.ndarray, wind_m_s: np.ndarray
+        self,
+        state: PlantState,
+        output: NDArray[np.float64],
+        effectiveness: NDArray[np.float64],
+        stuck: NDArray[np.bool_],
+        wind_m_s: NDArray[np.float64],
     ) -> None:
         """Advance ``state`` in place by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
         p, dt = self.parameters, self.dt_s
@@ -136,7 +142,7 @@ class Plant:
         # The ground holds what stands on it, level as it stood.
         state.position_m[:, 2] = np.minimum(state.position_m[:, 2], 0.0)
 
-    def specific_force(self, state: PlantState) -> np.ndarray:
+    def specific_force(self, state: PlantState) -> NDArray[np.float64]:
         """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""
         without_gravity = state.acceleration_m_s2.copy()
         without_gravity[:, 2] -= GRAVITY_M_S2

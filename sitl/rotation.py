@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def multiply(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternion product a b."""
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
@@ -23,17 +24,17 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def conjugate(q: np.ndarray) -> np.ndarray:
+def conjugate(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Inverse of a unit quaternion."""
     return q * _CONJUGATE
 
 
-def normalise(q: np.ndarray) -> np.ndarray:
+def normalise(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """To unit length."""
     return q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None]
 
 
-def to_matrix(q: np.ndarray) -> np.ndarray:
+def to_matrix(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrices (..., 3, 3), body to NED."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     out = np.empty((*q.shape[:-1], 3, 3))
@@ -49,7 +50,7 @@ def to_matrix(q: np.ndarray) -> np.ndarray:
     return out
 
 
-def from_rotation_vector(v: np.ndarray) -> np.ndarray:
+def from_rotation_vector(v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternion of a rotation vector (..., 3), rad."""
     angle = np.sqrt(np.einsum("...i,...i->...", v, v))
     half = 0.5 * angle
@@ -57,7 +58,7 @@ def from_rotation_vector(v: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cos(half)[..., None], scale[..., None] * v], axis=-1)
 
 
-def from_yaw(yaw_rad: np.ndarray) -> np.ndarray:
+def from_yaw(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Level, heading ``yaw_rad``."""
     out = np.zeros((*np.shape(yaw_rad), 4))
     out[..., 0] = np.cos(0.5 * yaw_rad)
@@ -65,25 +66,25 @@ def from_yaw(yaw_rad: np.ndarray) -> np.ndarray:
     return out
 
 
-def yaw_of(q: np.ndarray) -> np.ndarray:
+def yaw_of(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heading in rad."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def tilt_of(q: np.ndarray) -> np.ndarray:
+def tilt_of(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angle in rad between the body's and the world's vertical."""
     return np.arccos(np.clip(1 - 2 * (q[..., 1] ** 2 + q[..., 2] ** 2), -1.0, 1.0))
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cross product over (..., 3); numpy's own takes ten times as long for small arrays."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def swing_and_twist(q: np.ndarray) -> np.ndarray:
+def swing_and_twist(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Error vector (..., 3): swing of the z axis (x, y) and twist about it (z), in rad, of q = swing * twist."""
     q = np.where(q[..., :1] < 0, -q, q)
     w, z = q[..., 0], q[..., 3]

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import PlantParameters
@@ -37,10 +38,10 @@ class LowPass:
             self._b = warped**2 / scale
             self._a1 = 2.0 * (warped**2 - 1.0) / scale
             self._a2 = (1.0 - math.sqrt(2.0) * warped + warped**2) / scale
-        self._d1: np.ndarray | float = 0.0
-        self._d2: np.ndarray | float = 0.0
+        self._d1: NDArray[np.float64] | float = 0.0
+        self._d2: NDArray[np.float64] | float = 0.0
 
-    def step(self, value: np.ndarray) -> np.ndarray:
+    def step(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """One sample (N, width)."""
         if not self._active:
             return value
@@ -54,11 +55,11 @@ class LowPass:
 class Measured:
     """What the autopilot knows: filtered sensors and its own estimate. Shapes (N, .), FRD and NED."""
 
-    gyro_rad_s: np.ndarray
-    specific_force_m_s2: np.ndarray
-    quaternion: np.ndarray
-    position_m: np.ndarray
-    velocity_m_s: np.ndarray
+    gyro_rad_s: NDArray[np.float64]
+    specific_force_m_s2: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
 
 
 class Sensors:
@@ -84,7 +85,7 @@ class Sensors:
             [_ATTITUDE_NOISE_RAD, _POSITION_NOISE_M, _VELOCITY_NOISE_M_S], 3
         )
         steps = max(round(_ESTIMATOR_DELAY_S / dt_s), 1)
-        self._delayed: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=steps)
+        self._delayed: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque(maxlen=steps)
         self.measured = Measured(
             gyro_rad_s=rest[:, :3],
             specific_force_m_s2=rest[:, 3:],
@@ -93,7 +94,7 @@ class Sensors:
             velocity_m_s=np.zeros((n, 3)),
         )
 
-    def step(self, state: PlantState, specific_force: np.ndarray) -> None:
+    def step(self, state: PlantState, specific_force: NDArray[np.float64]) -> None:
         """Sample the sensors once; the result is in ``measured``."""
         normal = self._noise.next()
         speed = np.sqrt(state.thrust_n / self._max_thrust)

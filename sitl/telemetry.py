@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.mavlink.codec import Message, dialect
 from sitl import rotation
@@ -28,7 +29,7 @@ _HEALTHY_SENSORS = (
 )
 
 
-def to_global(position_m: np.ndarray) -> tuple[int, int, int]:
+def to_global(position_m: NDArray[np.float64]) -> tuple[int, int, int]:
     """Latitude and longitude in 1e-7 degrees, altitude in mm, of a NED position."""
     latitude = HOME_LATITUDE_DEG + math.degrees(position_m[0] / _EARTH_RADIUS_M)
     longitude = HOME_LONGITUDE_DEG + math.degrees(
@@ -197,7 +198,7 @@ class Telemetry:
         pwm += [0] * (_SERVOS - len(pwm))
         return dialect.MAVLink_servo_output_raw_message(self.time_usec % 2**32, 0, *pwm[:8], *pwm[8:])
 
-    def _rpm(self) -> np.ndarray:
+    def _rpm(self) -> NDArray[np.int_]:
         """(m,) rotor speeds as ESCs would measure them."""
         p = self._fleet.parameters
         speed = np.sqrt(self._fleet.state.thrust_n[self._i] / p.max_thrust_n[self._i]) * p.max_speed_rad_s

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.noise import NormalBlocks
 
@@ -22,11 +23,11 @@ class Wind:
 
     def __init__(
         self,
-        mean_m_s: np.ndarray,
-        sigma_m_s: np.ndarray,
+        mean_m_s: NDArray[np.float64],
+        sigma_m_s: NDArray[np.float64],
         dt_s: float,
         generators: list[np.random.Generator],
-        gusts: np.ndarray | None = None,
+        gusts: NDArray[np.float64] | None = None,
     ) -> None:
         self.mean = np.asarray(mean_m_s, float)
         self._sigma = np.asarray(sigma_m_s, float)[:, None]
@@ -48,7 +49,7 @@ class Wind:
         self._along = direction
         self._across = np.stack([-direction[:, 1], direction[:, 0], np.zeros(count)], axis=1)
 
-    def step(self, time_s: float) -> np.ndarray:
+    def step(self, time_s: float) -> NDArray[np.float64]:
         """Advance by one plant step; returns wind (N, 3) in m/s, NED."""
         self._first = self._decay * self._first + self._drive * self._noise.next()
         # The lateral and vertical Dryden forms have a zero after two poles: the first state plus its difference to

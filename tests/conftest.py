@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nff_companion.autopilots.px4 import remedy_book
 from nff_companion.core import vehicle
 
 DATA = Path(__file__).parent / "data"
@@ -25,6 +26,12 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
 @pytest.fixture(scope="session")
 def octo() -> vehicle.Vehicle:
     return vehicle.load("octo-x")
+
+
+@pytest.fixture
+def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What PX4's adapter computes ahead takes time and changes nothing in its tests."""
+    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation import kim, mca, pinv, printed, trim_consistent
 from nff_companion.allocation.linear_program import LinearSolver
@@ -18,7 +19,7 @@ from nff_companion.errors import ConfigError
 
 __all__ = ["METHODS", "Allocator", "Problem", "allocator", "authority", "problem_for"]
 
-Allocator = Callable[[Problem], np.ndarray]
+Allocator = Callable[[Problem], NDArray[np.float64]]
 METHODS = ("pinv", "mca", "kim", "printed", "trim")
 
 

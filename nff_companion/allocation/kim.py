@@ -2,6 +2,7 @@
 
 import daqp
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.problem import Problem
 from nff_companion.errors import SolverError
@@ -9,7 +10,7 @@ from nff_companion.errors import SolverError
 _ITERATIONS = 50
 
 
-def solve(problem: Problem) -> np.ndarray:
+def solve(problem: Problem) -> NDArray[np.float64]:
     """A (m, n).
 
     The torque columns only enter the norm, so they are those of the pseudo-inverse. The thrust column a minimises

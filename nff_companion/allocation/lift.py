@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.linear_program import LinearSolver, Program
 from nff_companion.core.vehicle import PITCH, ROLL, THRUST
 from nff_companion.errors import AllocationInfeasible, SolverError
 
 
-def balanced_thrust(nominal: np.ndarray, effectiveness: np.ndarray, solver: LinearSolver | None = None) -> float:
+def balanced_thrust(
+    nominal: NDArray[np.float64], effectiveness: NDArray[np.float64], solver: LinearSolver | None = None
+) -> float:
     """Largest thrust, in normalised units, with roll and pitch torque in balance and yaw let go.
 
     ``nominal`` B0 (n, m) normalised, ``effectiveness`` (m,) in 0..1:  max B_T u,  B_R u = B_P u = 0,  0 <= u <= eta.

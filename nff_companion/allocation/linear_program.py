@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import daqp
 import highspy
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.errors import AllocationInfeasible, SolverError
 
@@ -22,12 +23,12 @@ _INFINITE = 1e20
 class Program:
     """max objective . x  with  lower <= rows x <= upper  and  column_lower <= x <= column_upper."""
 
-    objective: np.ndarray
-    rows: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    column_lower: np.ndarray
-    column_upper: np.ndarray
+    objective: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    column_lower: NDArray[np.float64]
+    column_upper: NDArray[np.float64]
 
 
 class LinearSolver:
@@ -40,7 +41,7 @@ class LinearSolver:
         self._highs.setOptionValue("presolve", "off")
         self._shape: tuple[int, int] | None = None
 
-    def solve(self, program: Program) -> np.ndarray:
+    def solve(self, program: Program) -> NDArray[np.float64]:
         """Optimal x. Raises AllocationInfeasible when there is none, SolverError when the solver gives up."""
         count, width = program.rows.shape
         basis = self._highs.getBasis() if self._shape == (count, width) else None
@@ -76,7 +77,9 @@ def _model(program: Program) -> highspy.HighsLp:
     return lp
 
 
-def nearest_optimal(program: Program, optimum: np.ndarray, reference: np.ndarray, slack: float = 1e-6) -> np.ndarray:
+def nearest_optimal(
+    program: Program, optimum: NDArray[np.float64], reference: NDArray[np.float64], slack: float = 1e-6
+) -> NDArray[np.float64]:
     """The point of the optimal face nearest to ``reference`` (NaN: no preference). Raises SolverError."""
     rows = np.vstack([program.rows, program.objective])
     value = float(program.objective @ optimum)

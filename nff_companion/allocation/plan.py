@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation import Allocator, authority, problem_for
 from nff_companion.allocation.lift import balanced_thrust
@@ -20,11 +21,11 @@ class Plan:
     """``matrix`` A (m, n) verified, right inverse of ``effectiveness`` B (n, m) of the motors left;
     ``released`` axes given up; ``unallocated`` (n,) demand not met at hover."""
 
-    matrix: np.ndarray
-    effectiveness: np.ndarray
+    matrix: NDArray[np.float64]
+    effectiveness: NDArray[np.float64]
     released: tuple[int, ...]
-    authority: np.ndarray  # (n - 1,)
-    unallocated: np.ndarray
+    authority: NDArray[np.float64]  # (n - 1,)
+    unallocated: NDArray[np.float64]
 
     @cached_property
     def norm(self) -> float:
@@ -42,8 +43,8 @@ class Refusal:
 
 def make_plan(
     allocate: Allocator,
-    nominal: np.ndarray,
-    effectiveness: np.ndarray,
+    nominal: NDArray[np.float64],
+    effectiveness: NDArray[np.float64],
     hover: float,
     *,
     catching: bool = False,

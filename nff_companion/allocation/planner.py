@@ -7,6 +7,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
@@ -19,8 +20,8 @@ from nff_companion.core.vehicle import Vehicle
 class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """``plan``: the matrix that should be in force, None: the autopilot's own. Times of the autopilot's clock."""
 
-    planned_for: np.ndarray  # (m,) effectiveness; NaN: not yet solved
-    low_since_s: np.ndarray  # (m,) since when a motor is partly lost, NaN: it is not
+    planned_for: NDArray[np.float64]  # (m,) effectiveness; NaN: not yet solved
+    low_since_s: NDArray[np.float64]  # (m,) since when a motor is partly lost, NaN: it is not
     plan: Plan | None = None
     refusal: Refusal | None = None
     rejected: int = 0
@@ -31,12 +32,12 @@ class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     untouched: bool = True  # all motors healthy, the autopilot's own allocation in force
 
     @property
-    def degraded(self) -> np.ndarray:
+    def degraded(self) -> NDArray[np.bool_]:
         """(m,) bool: allocated around; NaN, not yet planned, is not."""
         return self.planned_for < 1.0
 
 
-Target = Callable[[Estimate], np.ndarray]
+Target = Callable[[Estimate], NDArray[np.float64]]
 
 
 class Planner:
@@ -100,7 +101,7 @@ class Planner:
             return replace(state, untouched=clear and change == 0.0)
         return self._solved(replace(state, planned_s=time_s, planned_for=target), target, estimate)
 
-    def _solved(self, state: PlannerState, target: np.ndarray, estimate: Estimate) -> PlannerState:
+    def _solved(self, state: PlannerState, target: NDArray[np.float64], estimate: Estimate) -> PlannerState:
         """With the matrix for ``target`` (m,), or the reason that there is none."""
         if (target == 1.0).all():
             return replace(state, plan=None, refusal=None)
@@ -114,7 +115,9 @@ class Planner:
         again = np.full_like(target, np.nan)  # tried after the interval
         return replace(state, plan=kept, refusal=plan, rejected=state.rejected + 1, planned_for=again, untouched=False)
 
-    def _target(self, state: PlannerState, time_s: float, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    def _target(
+        self, state: PlannerState, time_s: float, estimate: Estimate
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Since when motors are partly lost (m,), and the effectiveness (m,) to allocate for: declared motors gone, a
         lasting partial loss shaped, the rest whole."""
         o = self._tuning

@@ -11,21 +11,22 @@ paper the vertex that the simplex method ends in is taken, which is why this met
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.linear_program import LinearSolver, Program
 from nff_companion.allocation.problem import Problem, normalised_columns
 
 
-def _program(b: np.ndarray, hover: float) -> Program:
+def _program(b: NDArray[np.float64], hover: float) -> Program:
     axes, motors = b.shape
     torques = axes - 1
     width = motors * axes
     eye = np.eye(motors)
-    rows: list[np.ndarray] = []
-    lower: list[np.ndarray] = []
-    upper: list[np.ndarray] = []
+    rows: list[NDArray[np.float64]] = []
+    lower: list[NDArray[np.float64]] = []
+    upper: list[NDArray[np.float64]] = []
 
-    def block(entries: dict[int, np.ndarray], low: float, high: float) -> None:
+    def block(entries: dict[int, NDArray[np.float64]], low: float, high: float) -> None:
         height = next(iter(entries.values())).shape[0]
         row = np.zeros((height, width))
         for index, value in entries.items():
@@ -53,7 +54,7 @@ def _program(b: np.ndarray, hover: float) -> Program:
     )
 
 
-def solve(problem: Problem, solver: LinearSolver) -> np.ndarray:
+def solve(problem: Problem, solver: LinearSolver) -> NDArray[np.float64]:
     """A (m, n). Raises AllocationInfeasible, SolverError."""
     b = problem.reduced
     x = solver.solve(_program(b, problem.hover))

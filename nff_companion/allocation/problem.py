@@ -7,8 +7,10 @@ the motors could give on that axis. Pure: numpy in, numpy out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.tuning import DEFAULT
 from nff_companion.errors import AllocationInfeasible
@@ -21,17 +23,17 @@ class Problem:
     ``kept`` (n,) bool: axes that the matrix must serve; the others are given up (zero columns of A).
     """
 
-    effectiveness: np.ndarray
+    effectiveness: NDArray[np.float64]
     hover: float
-    active: np.ndarray  # (m,) bool, motors that take part
-    kept: np.ndarray
+    active: NDArray[np.bool_]  # (m,) bool, motors that take part
+    kept: NDArray[np.bool_]
 
     @property
-    def reduced(self) -> np.ndarray:
+    def reduced(self) -> NDArray[np.float64]:
         """B of kept axes and active motors."""
         return self.effectiveness[np.ix_(self.kept, self.active)]
 
-    def expand(self, matrix: np.ndarray) -> np.ndarray:
+    def expand(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         """A (m, n) with zero rows and columns for what was left out, from A of the reduced problem."""
         axes, motors = self.effectiveness.shape
         full = np.zeros((motors, axes))
@@ -40,8 +42,8 @@ class Problem:
 
 
 def problem_for(
-    nominal: np.ndarray,
-    effectiveness: np.ndarray,
+    nominal: NDArray[np.float64],
+    effectiveness: NDArray[np.float64],
     hover: float,
     released: tuple[int, ...] = (),
     removed_below: float = DEFAULT.planner.removed_below,
@@ -65,15 +67,15 @@ def problem_for(
     return problem
 
 
-def normalised_columns(problem: Problem, columns: np.ndarray) -> np.ndarray:
+def normalised_columns(problem: Problem, columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """A = Abar (B Abar)^-1, equation (6.14). Raises AllocationInfeasible when B Abar is singular."""
     product = problem.reduced @ columns
     if np.linalg.cond(product) > 1e9:
         raise AllocationInfeasible("the allocation columns do not span the wrench: motors left cannot balance")
-    return np.linalg.solve(product.T, columns.T).T
+    return cast("NDArray[np.float64]", np.linalg.solve(product.T, columns.T).T)
 
 
-def authority(matrix: np.ndarray, hover: float) -> np.ndarray:
+def authority(matrix: NDArray[np.float64], hover: float) -> NDArray[np.float64]:
     """Demand (n - 1,) that each axis after thrust can take in both directions at hover before a motor saturates."""
     trim = matrix[:, 0] * hover
     room = np.minimum(trim, 1.0 - trim)

@@ -8,6 +8,7 @@ then A_T = u_h / h,  A_i := A_i / t_i   (after (6.13), (6.14))
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.linear_program import LinearSolver, Program, nearest_optimal
 from nff_companion.allocation.problem import Problem
@@ -15,7 +16,7 @@ from nff_companion.core.tuning import DEFAULT
 from nff_companion.errors import AllocationInfeasible
 
 
-def _program(b: np.ndarray, hover: float) -> Program:
+def _program(b: NDArray[np.float64], hover: float) -> Program:
     """Columns: u_h (m), A_i (m each), t_i, and the largest (u_h)_j / h."""
     axes, motors = b.shape
     torques = axes - 1
@@ -55,7 +56,7 @@ def _program(b: np.ndarray, hover: float) -> Program:
 
 def solve(
     problem: Problem, solver: LinearSolver, authority_min: float = DEFAULT.planner.axis_authority_min
-) -> np.ndarray:
+) -> NDArray[np.float64]:
     """A (m, n). Raises AllocationInfeasible when an axis has less than ``authority_min`` of its torque left at hover,
     SolverError."""
     b, hover = problem.reduced, problem.hover

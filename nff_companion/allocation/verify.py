@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.problem import Problem
 from nff_companion.core.tuning import DEFAULT, PlannerTuning
 
 
-def fault_of(matrix: np.ndarray, problem: Problem, tuning: PlannerTuning = DEFAULT.planner) -> str | None:
+def fault_of(matrix: NDArray[np.float64], problem: Problem, tuning: PlannerTuning = DEFAULT.planner) -> str | None:
     """What is wrong with A (m, n) for ``problem``; None when it may be used.
 
     Checks: shape, finite, B A = I on the axes kept, gain bound, removed motors idle, hover within 0..1.

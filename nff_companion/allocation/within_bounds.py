@@ -15,13 +15,17 @@ from __future__ import annotations
 
 import daqp
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.tuning import DEFAULT, OverrideTuning
 
 
 def constrain(
-    matrix: np.ndarray, effectiveness: np.ndarray, demand: np.ndarray, tuning: OverrideTuning = DEFAULT.override
-) -> tuple[np.ndarray, np.ndarray]:
+    matrix: NDArray[np.float64],
+    effectiveness: NDArray[np.float64],
+    demand: NDArray[np.float64],
+    tuning: OverrideTuning = DEFAULT.override,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Thrusts u (m,) for ``demand`` (n,), and the demand that they serve.
 
     ``matrix`` A (m, n), ``effectiveness`` B (n, m) that A is a right inverse of; motors with a zero column are not
@@ -46,12 +50,12 @@ def constrain(
     return clipped, served
 
 
-def _within(thrust: np.ndarray) -> bool:
+def _within(thrust: NDArray[np.float64]) -> bool:
     values = thrust.tolist()
     return min(values) >= 0.0 and max(values) <= 1.0
 
 
-def _room(value: np.ndarray, part: np.ndarray) -> float:
+def _room(value: NDArray[np.float64], part: NDArray[np.float64]) -> float:
     """Largest share of ``part`` in 0..1 that ``value`` + share * part keeps within 0..1."""
     limit = np.where(part > 0.0, 1.0 - value, value)
     size = np.maximum(np.abs(part), 1e-12)
@@ -59,8 +63,8 @@ def _room(value: np.ndarray, part: np.ndarray) -> float:
 
 
 def desaturate(
-    matrix: np.ndarray, demand: np.ndarray, tuning: OverrideTuning = DEFAULT.override
-) -> tuple[np.ndarray, np.ndarray]:
+    matrix: NDArray[np.float64], demand: NDArray[np.float64], tuning: OverrideTuning = DEFAULT.override
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Motor thrusts (m,) in 0..1 for ``demand`` (n,): yaw is cut first, then thrust moves, then roll and pitch.
 
     Returns the thrusts and the demand that was served.

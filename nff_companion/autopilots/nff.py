@@ -6,6 +6,7 @@ import math
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots import times
 from nff_companion.autopilots.base import Finding, Permit
@@ -106,7 +107,7 @@ class NffAdapter:
         self._sequence = (self._sequence + 1) % 2**32
         return self._sequence
 
-    def _matrix(self, sample_usec: int, matrix: np.ndarray | None) -> Message:
+    def _matrix(self, sample_usec: int, matrix: NDArray[np.float64] | None) -> Message:
         """``matrix`` (m, n), None: the one in force is dropped."""
         factors = np.zeros(_FACTORS)
         motors, axes, valid = 0, 0, 0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import times
@@ -24,8 +25,8 @@ class Declare:
     """These motors have failed (``failed`` (m,) bool); ``effectiveness`` (m,): 0 for those, else what is believed."""
 
     time_s: float
-    failed: np.ndarray
-    effectiveness: np.ndarray
+    failed: NDArray[np.bool_]
+    effectiveness: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Load:
 
     time_s: float
     plan: Plan
-    failed: np.ndarray
+    failed: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class Drive:
     """Use these motor ``outputs`` (m,) in 0..1 until they expire; ``time_s`` is that of the sample that they answer."""
 
     time_s: float
-    outputs: np.ndarray
+    outputs: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +61,13 @@ class ScheduleState(msgspec.Struct, frozen=True, eq=False):
     """What was told last, by the autopilot's clock. ``lifted`` (m,) bool: by the operator's word since ``lifted_s``,
     which is told in every mode until confirmed, or no longer fresh."""
 
-    told: np.ndarray  # (m,) bool, of the last declaration
-    effectiveness: np.ndarray  # (m,)
+    told: NDArray[np.bool_]  # (m,) bool, of the last declaration
+    effectiveness: NDArray[np.float64]  # (m,)
     told_s: float = -np.inf
     since_s: float = -np.inf  # since when this set is being told
     plan: Plan | None = None  # last streamed
     plan_s: float = -np.inf
-    lifted: np.ndarray | None = None
+    lifted: NDArray[np.bool_] | None = None
     lifted_s: float = -np.inf
 
     @staticmethod
@@ -137,7 +138,7 @@ def _declare(
 
 
 def _lift(
-    state: ScheduleState, motors: np.ndarray, condition: Condition, time_s: float
+    state: ScheduleState, motors: NDArray[np.bool_], condition: Condition, time_s: float
 ) -> tuple[ScheduleState, list[Command]]:
     """The operator's word where we do not act: of what the autopilot holds these ``motors`` go, nothing is added."""
     held = condition.in_force.failed

@@ -10,6 +10,7 @@ from __future__ import annotations
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
@@ -51,17 +52,17 @@ class TelemetryDecoder:
         self._armed: bool | None = None  # not heard
         self._beyond = f"servo{vehicle.motors + 1}_raw" if vehicle.motors < _MAX_SERVOS else ""
         self.drives_more = False  # outputs than the airframe has motors
-        self._output: np.ndarray = np.full(vehicle.motors, np.nan)
+        self._output: NDArray[np.float64] = np.full(vehicle.motors, np.nan)
         self._output_usec: int | None = None
-        self._quaternion: np.ndarray | None = None
+        self._quaternion: NDArray[np.float64] | None = None
         self._quaternion_s = -np.inf
-        self._position: np.ndarray | None = None
-        self._velocity: np.ndarray | None = None
+        self._position: NDArray[np.float64] | None = None
+        self._velocity: NDArray[np.float64] | None = None
         self._position_s = -np.inf
-        self._target: np.ndarray | None = None
+        self._target: NDArray[np.float64] | None = None
         self._target_yaw: float | None = None
-        self._target_velocity: np.ndarray | None = None
-        self._target_acceleration: np.ndarray | None = None
+        self._target_velocity: NDArray[np.float64] | None = None
+        self._target_acceleration: NDArray[np.float64] | None = None
         self._target_s = -np.inf
         self._landed: bool | None = None
         m = vehicle.motors
@@ -161,7 +162,9 @@ class TelemetryDecoder:
         return 1e-6 * abs((now_usec - self._output_usec + _WRAP_USEC // 2) % _WRAP_USEC - _WRAP_USEC // 2)
 
     @staticmethod
-    def _moved(position: np.ndarray | None, velocity: np.ndarray | None, age_s: float) -> np.ndarray | None:
+    def _moved(
+        position: NDArray[np.float64] | None, velocity: NDArray[np.float64] | None, age_s: float
+    ) -> NDArray[np.float64] | None:
         """Where it is by now: positions and targets come less often than samples, and a step in them is answered with
         a jerk (at 7.5 m/s and 20 Hz one of 0.4 m)."""
         if position is None or velocity is None or not 0.0 < age_s <= MOVED_MAX_S:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from nff_companion.core.filters import lag_share
 from nff_companion.core.tuning import DEFAULT, LawTuning
@@ -26,10 +27,10 @@ Axes = tuple[Vector, Vector, Vector]
 class Reference:
     """Where to be: NED position in m, velocity in m/s, heading in rad."""
 
-    position_m: np.ndarray
-    velocity_m_s: np.ndarray
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
     yaw_rad: float
-    acceleration_m_s2: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    acceleration_m_s2: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,8 @@ class Knowledge:
     specific force along x and y of the body, as measured: the drag.
     """
 
-    residual: np.ndarray
-    push_m_s2: np.ndarray
+    residual: NDArray[np.float64]
+    push_m_s2: NDArray[np.float64]
 
     @staticmethod
     def none(axes: int) -> Knowledge:
@@ -57,15 +58,15 @@ class Memory(msgspec.Struct, frozen=True, eq=False):
     sample, actual - reference: upward velocity in m/s, body rates in rad/s.
     """
 
-    push_m_s2: np.ndarray
-    turn_rad_s2: np.ndarray
+    push_m_s2: NDArray[np.float64]
+    turn_rad_s2: NDArray[np.float64]
     rate_rad_s: Vector | None = None
     acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)
     desired: Axes | None = None
     turning_rad_s: Vector = (0.0, 0.0, 0.0)
     tracking_error: tuple[float, ...] = ()
 
-    def held_back(self, before: Memory, limited: np.ndarray) -> Memory:
+    def held_back(self, before: Memory, limited: NDArray[np.bool_]) -> Memory:
         """With the attitude integrals of axes that are ``limited`` (3,) bool by saturation grown no further."""
         if not limited.any():
             return self
@@ -103,13 +104,13 @@ class Gains:
 class State:
     """What the law is told: NED position and velocity, body-to-NED quaternion, body rates."""
 
-    position_m: np.ndarray
-    velocity_m_s: np.ndarray
-    quaternion: np.ndarray
-    rate_rad_s: np.ndarray
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64]
 
 
-def _axes(q: np.ndarray) -> Axes:
+def _axes(q: NDArray[np.float64]) -> Axes:
     """The body's axes in NED (columns of the rotation matrix) of the quaternion (w, x, y, z)."""
     w, x, y, z = q.tolist()
     return (
@@ -154,10 +155,10 @@ def attitude_error(body: Axes, desired: Axes) -> Vector:
 
 
 def steady_push(
-    quaternion: np.ndarray,
-    specific_force_m_s2: np.ndarray,
+    quaternion: NDArray[np.float64],
+    specific_force_m_s2: NDArray[np.float64],
     most_m_s2: float = DEFAULT.law.integral_max_m_s2,
-) -> np.ndarray:
+) -> NDArray[np.float64]:
     """Horizontal push of the thrust now (3,) m/s^2 NED, at most ``most_m_s2``: in a steady hover, what the
     wind asks for.
 
@@ -178,7 +179,9 @@ class ControlLaw:
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
         self._scale = 1.0 / vehicle.row_scale
 
-    def taken_over(self, quaternion: np.ndarray, specific_force_m_s2: np.ndarray, knowledge: Knowledge) -> Memory:
+    def taken_over(
+        self, quaternion: NDArray[np.float64], specific_force_m_s2: NDArray[np.float64], knowledge: Knowledge
+    ) -> Memory:
         """Memory to begin with; where the drag is fed forward, it is not counted twice."""
         if knowledge.push_m_s2.any():
             return Memory.empty()
@@ -186,7 +189,7 @@ class ControlLaw:
 
     def demand(
         self, state: State, reference: Reference, memory: Memory, knowledge: Knowledge, dt_s: float
-    ) -> tuple[np.ndarray, Memory]:
+    ) -> tuple[NDArray[np.float64], Memory]:
         """Demand (n,) in normalised units, and the new memory."""
         tuning = self._tuning
         body = _axes(state.quaternion)
@@ -255,7 +258,9 @@ class ControlLaw:
         new = [old[k] + share * (_clip(step[k] / dt_s, self._tuning.turning_max_rad_s) - old[k]) for k in range(3)]
         return new[0], new[1], new[2]
 
-    def _push(self, state: State, reference: Reference, integral: np.ndarray, dt_s: float) -> tuple[Vector, np.ndarray]:
+    def _push(
+        self, state: State, reference: Reference, integral: NDArray[np.float64], dt_s: float
+    ) -> tuple[Vector, NDArray[np.float64]]:
         """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
         g, t = self.gains, self._tuning
         error: list[float] = (reference.position_m - state.position_m).tolist()

@@ -6,6 +6,7 @@ import math
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.within_bounds import constrain, desaturate
 from nff_companion.condition import Reason, Statement
@@ -34,11 +35,11 @@ class OverrideLoop:
         self,
         state: OverrideState,
         sample: Sample,
-        matrix: np.ndarray,
-        left: np.ndarray | None,
+        matrix: NDArray[np.float64],
+        left: NDArray[np.float64] | None,
         knowledge: Knowledge,
         dt_s: float,
-    ) -> tuple[OverrideState, np.ndarray | Statement]:
+    ) -> tuple[OverrideState, NDArray[np.float64] | Statement]:
         """Motor thrusts (m,) by (6.18), or why there are none. ``matrix`` A (m, n); ``left`` B (n, m) of the motors
         left, None while all are believed to work."""
         q, position, velocity = sample.quaternion, sample.position_m, sample.velocity_m_s
@@ -76,5 +77,5 @@ def _followed(sample: Sample, hold: Reference) -> tuple[Reference, Reference]:
     return reference, Reference(target, np.zeros(3), yaw)
 
 
-def _finite(value: np.ndarray | None) -> np.ndarray:
+def _finite(value: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return np.zeros(3) if value is None or not math.isfinite(sum(value.tolist())) else value

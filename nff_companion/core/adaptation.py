@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.tuning import AdaptationTuning
 
@@ -26,14 +27,16 @@ from nff_companion.core.tuning import AdaptationTuning
 class AdaptationState:
     """a (k, n) and P (k, k)."""
 
-    a: np.ndarray
-    covariance: np.ndarray
+    a: NDArray[np.float64]
+    covariance: NDArray[np.float64]
 
 
 class Adaptation:
     """Constants for k basis functions and n axes."""
 
-    def __init__(self, prior: np.ndarray, tuning: AdaptationTuning, spread: np.ndarray | None = None) -> None:
+    def __init__(
+        self, prior: NDArray[np.float64], tuning: AdaptationTuning, spread: NDArray[np.float64] | None = None
+    ) -> None:
         """``prior``: a0 (k, n); ``spread``: P at the start (k, k), else that of a steady flight."""
         self.prior = prior
         k = len(prior)
@@ -51,10 +54,10 @@ class Adaptation:
     def step(
         self,
         state: AdaptationState,
-        basis: np.ndarray,
-        residual: np.ndarray,
+        basis: NDArray[np.float64],
+        residual: NDArray[np.float64],
         dt_s: float,
-        tracking_error: np.ndarray | None = None,
+        tracking_error: NDArray[np.float64] | None = None,
     ) -> AdaptationState:
         """One sample: ``basis`` phi (k,), ``residual`` y (n,), ``tracking_error`` s (n,), actual - reference."""
         o = self._tuning
@@ -76,6 +79,6 @@ class Adaptation:
         return AdaptationState(a=new, covariance=covariance)
 
 
-def _outer(column: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _outer(column: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
     """Product (k, n) of (k,) and (n,); as a matrix product it costs half of what broadcasting costs."""
     return column[:, None].dot(row[None])

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import daqp
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.toml_file import Name, Text
 from nff_companion.core.tuning.span import span
@@ -111,7 +112,9 @@ class AirframeFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log: LogTable | None = None
 
 
-def effectiveness_si(position_m: np.ndarray, spin: np.ndarray, motor: MotorTable) -> np.ndarray:
+def effectiveness_si(
+    position_m: NDArray[np.float64], spin: NDArray[np.float64], motor: MotorTable
+) -> NDArray[np.float64]:
     """B0 (n, m): N and N m for thrust fraction 1 of each motor at ``position_m`` (m, 2) with ``spin`` (m,), +1 ccw.
 
     A rotor at (x, y) pushing up by F gives roll torque -y F and pitch torque x F in FRD.
@@ -192,7 +195,7 @@ def _faults_of_rotors(data: AirframeFile, hover: float) -> Iterator[str]:
         )
 
 
-def _trims(matrix: np.ndarray, hover: float) -> bool:
+def _trims(matrix: NDArray[np.float64], hover: float) -> bool:
     """Is there u in 0..1 with B u = (h, 0, 0, 0)? ``matrix`` (n, m) with rows over the sum of their magnitudes."""
     axes, motors = matrix.shape
     demand = np.concatenate([[hover], np.zeros(axes - 1)])

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import network_file
 from nff_companion.core.features import COMMAND
@@ -30,18 +31,18 @@ FORMAT = network_file.FORMAT
 class Basis:
     """One network, immutable."""
 
-    weights: tuple[np.ndarray, ...]  # (out, in) each
-    biases: tuple[np.ndarray, ...]
-    mean: np.ndarray  # (d,) of the inputs
-    scale: np.ndarray  # (d,)
-    low: np.ndarray  # (d,) range of the training flights
-    high: np.ndarray
-    axis_scale: np.ndarray  # (n,) SI
-    prior: np.ndarray  # a0 (k + 1, n)
+    weights: tuple[NDArray[np.float64], ...]  # (out, in) each
+    biases: tuple[NDArray[np.float64], ...]
+    mean: NDArray[np.float64]  # (d,) of the inputs
+    scale: NDArray[np.float64]  # (d,)
+    low: NDArray[np.float64]  # (d,) range of the training flights
+    high: NDArray[np.float64]
+    axis_scale: NDArray[np.float64]  # (n,) SI
+    prior: NDArray[np.float64]  # a0 (k + 1, n)
     metadata: dict[str, Any]
     tuning: NetworkTuning = field(default_factory=NetworkTuning)
 
-    def __call__(self, features: np.ndarray) -> np.ndarray:
+    def __call__(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """phi (k + 1,), the last one 1, of an input vector (d,)."""
         first, offset = self._first
         h = first.dot(np.minimum(np.maximum(features, self._lowest), self._highest)) + offset
@@ -64,24 +65,24 @@ class Basis:
         return f"{m.get('airframe', 'unnamed')}, {m.get('minutes', '?')} min, {m.get('data_sha256', '')[:8]}: {covers}"
 
     @cached_property
-    def _first(self) -> tuple[np.ndarray, np.ndarray]:
+    def _first(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """First layer with the normalisation of the inputs folded in."""
         weight = self.weights[0] / self.scale
         return weight, self.biases[0] - weight @ self.mean
 
     @cached_property
-    def _further(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]:
+    def _further(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ...]:
         """The layers after the first one: what their input is cut at (zeros: numpy is slower with a number), weights,
         biases."""
         layers = zip(self.weights[1:], self.biases[1:], strict=True)
         return tuple((np.zeros(weight.shape[1]), weight, bias) for weight, bias in layers)
 
     @cached_property
-    def _lowest(self) -> np.ndarray:
+    def _lowest(self) -> NDArray[np.float64]:
         return self.low - self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
-    def _highest(self) -> np.ndarray:
+    def _highest(self) -> NDArray[np.float64]:
         return self.high + self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
@@ -100,18 +101,18 @@ class Basis:
         """Lip_u(phi): the same per thrust fraction of the motors."""
         return self.lipschitz_command * vehicle.thrust_norm
 
-    def contraction(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> float:
+    def contraction(self, a: NDArray[np.float64], vehicle: Vehicle, allocation_norm: float) -> float:
         """Left side of (6.8), sigma(A) Lip_u(phi) |a|, in the normalised units of A; below 1 the law's fixed point
         (6.7) exists and is reached."""
         unit = vehicle.normalised_per_acceleration * self.axis_scale
         return allocation_norm * self.lipschitz_u(vehicle) * float(np.linalg.norm(a[:-1] * unit, 2))
 
-    def _contraction_bound(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> float:
+    def _contraction_bound(self, a: NDArray[np.float64], vehicle: Vehicle, allocation_norm: float) -> float:
         """No less than ``contraction``, for a tenth of its cost: the Frobenius norm is never below the spectral one."""
         scaled = (a[:-1] * (vehicle.normalised_per_acceleration * self.axis_scale)).ravel()
         return allocation_norm * self.lipschitz_u(vehicle) * math.sqrt(float(scaled.dot(scaled)))
 
-    def project(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> np.ndarray:
+    def project(self, a: NDArray[np.float64], vehicle: Vehicle, allocation_norm: float) -> NDArray[np.float64]:
         """a (k + 1, n), its network part shortened until (6.8) holds for A of norm ``allocation_norm``."""
         most = self.tuning.contraction_max
         if self._contraction_bound(a, vehicle, allocation_norm) < most:
@@ -125,7 +126,7 @@ class Basis:
 
     def save(self, path: Path) -> None:
         """Write the file that ``load`` reads; whoever is killed meanwhile leaves the old one."""
-        arrays: dict[str, np.ndarray] = {}
+        arrays: dict[str, NDArray[np.float64]] = {}
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight_{index}"], arrays[f"bias_{index}"] = weight, bias
         for name in ("mean", "scale", "low", "high", "axis_scale", "prior"):

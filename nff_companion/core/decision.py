@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
 from nff_companion.core.onset import OnsetSums
@@ -49,7 +50,7 @@ class Event:
 class DecisionState:
     """What is declared and what is being confirmed. Motors are indices from 0."""
 
-    failed: np.ndarray  # (m,) bool, latched
+    failed: NDArray[np.bool_]  # (m,) bool, latched
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
@@ -75,7 +76,7 @@ class Decision:
         self._failed_max = max(1, min(tuning.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
-    def best(self, sums: OnsetSums, failed: np.ndarray, gamma: float) -> Hypothesis | None:
+    def best(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> Hypothesis | None:
         """The hypothesis that explains the windows best, None when none improves enough."""
         o = self.tuning
         nuisance = np.flatnonzero(failed)
@@ -102,7 +103,9 @@ class Decision:
         others = np.delete(one_best, first)
         return self._describe((first,), one, first, sums, others, without)
 
-    def direct(self, sums: OnsetSums, failed: np.ndarray, stopped: tuple[int, ...], gamma: float) -> Hypothesis | None:
+    def direct(
+        self, sums: OnsetSums, failed: NDArray[np.bool_], stopped: tuple[int, ...], gamma: float
+    ) -> Hypothesis | None:
         """The hypothesis that exactly the motors ``stopped`` (indices), which stand still by their rotor speeds, have
         failed; None when the residual does not agree."""
         o = self.tuning
@@ -129,8 +132,8 @@ class Decision:
         scores: hypotheses.Scores,
         index: int,
         sums: OnsetSums,
-        others: np.ndarray,
-        simpler: np.ndarray,
+        others: NDArray[np.float64],
+        simpler: NDArray[np.float64],
     ) -> Hypothesis:
         window = int(scores.improvement[:, index].argmax())
         e = scores.e[window, index]
@@ -153,9 +156,9 @@ class Decision:
         state: DecisionState,
         time_s: float,
         best: Hypothesis | None,
-        effectiveness: np.ndarray,
-        deviation: np.ndarray,
-        driven: np.ndarray,
+        effectiveness: NDArray[np.float64],
+        deviation: NDArray[np.float64],
+        driven: NDArray[np.float64],
         direct: Hypothesis | None = None,
     ) -> tuple[DecisionState, list[Event]]:
         """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
@@ -266,7 +269,7 @@ class Decision:
         )
 
 
-def _without(sums: OnsetSums, nuisance: np.ndarray) -> OnsetSums:
+def _without(sums: OnsetSums, nuisance: NDArray[np.intp]) -> OnsetSums:
     """What is left when the motors ``nuisance`` (indices) are fitted freely."""
     matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
     return OnsetSums(matrix=matrix, vector=vector, energy=energy, age_s=sums.age_s)

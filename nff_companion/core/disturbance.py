@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.adaptation import Adaptation, AdaptationState
 from nff_companion.core.filters import lag_share
@@ -53,17 +54,17 @@ class Basis(Protocol):
     """A basis network, as far as it matters here (basis_network.py)."""
 
     @property
-    def axis_scale(self) -> np.ndarray:
+    def axis_scale(self) -> NDArray[np.float64]:
         """(n,) SI."""
 
     @property
-    def prior(self) -> np.ndarray:
+    def prior(self) -> NDArray[np.float64]:
         """a0 (k + 1, n)."""
 
-    def __call__(self, features: np.ndarray) -> np.ndarray:
+    def __call__(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """phi (k + 1,)."""
 
-    def project(self, a: np.ndarray, vehicle: Vehicle, allocation_norm: float) -> np.ndarray:
+    def project(self, a: NDArray[np.float64], vehicle: Vehicle, allocation_norm: float) -> NDArray[np.float64]:
         """a within (6.8)."""
 
 
@@ -72,17 +73,17 @@ class DisturbanceState:
     """The adaptation, the last phi (k + 1,), and the variance of y - phi a (n,)."""
 
     adaptation: AdaptationState
-    basis: np.ndarray
-    variance: np.ndarray
+    basis: NDArray[np.float64]
+    variance: NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class Expectation:
     """phi a at one sample, SI: as far as it is believed (n,), and as it was learnt (n,); with its phi (k + 1,)."""
 
-    basis: np.ndarray
-    believed: np.ndarray
-    learnt: np.ndarray
+    basis: NDArray[np.float64]
+    believed: NDArray[np.float64]
+    learnt: NDArray[np.float64]
 
 
 class Disturbance:
@@ -118,15 +119,15 @@ class Disturbance:
         """Nothing learnt in this flight."""
         return DisturbanceState(adaptation=self._adaptation.start(), basis=self._blind, variance=self.floor**2)
 
-    def variance(self, state: DisturbanceState) -> np.ndarray:
+    def variance(self, state: DisturbanceState) -> NDArray[np.float64]:
         """Variance (n,) of the residual in steady flight, between floor and ceiling."""
         return np.minimum(np.maximum(state.variance, self._floor_squared), self._ceiling_squared)
 
-    def noise_weight(self, state: DisturbanceState) -> np.ndarray:
+    def noise_weight(self, state: DisturbanceState) -> NDArray[np.float64]:
         """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
         return 1.0 / (self.variance(state) * self._tuning.correlation_s)
 
-    def basis(self, state: DisturbanceState, features: np.ndarray | None, dt_s: float) -> np.ndarray:
+    def basis(self, state: DisturbanceState, features: NDArray[np.float64] | None, dt_s: float) -> NDArray[np.float64]:
         """phi (k + 1,); without ``features`` the last one fades: what it said of the speed grows old, and a jump to the
         constant would look like a failure."""
         if self.network is None:
@@ -135,22 +136,22 @@ class Disturbance:
             return state.basis + lag_share(dt_s, self._tuning.stale_s) * (self._blind - state.basis)
         return self.network(features)
 
-    def expect(self, state: DisturbanceState, basis: np.ndarray) -> Expectation:
+    def expect(self, state: DisturbanceState, basis: NDArray[np.float64]) -> Expectation:
         """phi a; what was learnt in this flight, beyond a0, may not grow into the place of a motor."""
         known = self._scale * basis.dot(self._adaptation.prior)
         learnt = self._scale * basis.dot(state.adaptation.a)
         beyond = np.minimum(np.maximum(learnt - known, self._adapted_min), self._adapted_max)
         return Expectation(basis=basis, believed=known + beyond, learnt=learnt)
 
-    def predict(self, state: DisturbanceState, basis: np.ndarray) -> np.ndarray:
+    def predict(self, state: DisturbanceState, basis: NDArray[np.float64]) -> NDArray[np.float64]:
         """phi a (n,) in SI, as far as it is believed."""
         return self.expect(state, basis).believed
 
     def step(
         self,
         state: DisturbanceState,
-        basis: np.ndarray,
-        residual: np.ndarray,
+        basis: NDArray[np.float64],
+        residual: NDArray[np.float64],
         dt_s: float,
         rate: float = 1.0,
         allocation_norm: float = 0.0,
@@ -162,11 +163,11 @@ class Disturbance:
         self,
         state: DisturbanceState,
         expectation: Expectation,
-        residual: np.ndarray,
+        residual: NDArray[np.float64],
         dt_s: float,
         rate: float = 1.0,
         allocation_norm: float = 0.0,
-        tracking_error: np.ndarray | None = None,
+        tracking_error: NDArray[np.float64] | None = None,
     ) -> DisturbanceState:
         """One sample of the raw residual y (n,), of which ``expectation`` was expected in ``state``; ``rate`` scales
         the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8);
@@ -186,9 +187,9 @@ class Disturbance:
         self,
         state: AdaptationState,
         expectation: Expectation,
-        residual: np.ndarray,
+        residual: NDArray[np.float64],
         dt_s: float,
-        tracking_error: np.ndarray | None,
+        tracking_error: NDArray[np.float64] | None,
     ) -> AdaptationState:
         """One step of a. At the limit of what may be learnt y is taken for what is learnt already, so that a does not
         wind up."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import sparse
 from nff_companion.core.decision import DecisionState, Event, Hypothesis
@@ -23,28 +24,28 @@ class EstimatorState:
     side_drag: SideDragState
     information: sparse.Information
     onset: OnsetState
-    steady: np.ndarray  # (m,) w, slow
+    steady: NDArray[np.float64]  # (m,) w, slow
     decision: DecisionState
     started_s: float
     suspicious_since_s: float | None
     solved_s: float
-    effectiveness: np.ndarray
-    deviation: np.ndarray
+    effectiveness: NDArray[np.float64]
+    deviation: NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class Estimate:
     """Result of one sample. Arrays (m,) unless said otherwise."""
 
-    effectiveness: np.ndarray  # eta, 1: healthy; of declared motors what the data still say
-    deviation: np.ndarray
-    failed: np.ndarray  # bool, latched
-    raw: np.ndarray  # (n,) y, without the motors declared, m/s^2 and rad/s^2
-    residual: np.ndarray  # (n,) y - phi a
-    disturbance: np.ndarray  # (n,) phi a
-    features: np.ndarray | None  # (d,) that phi was fed with
-    thrust_shown: np.ndarray  # w, thrust fractions as they show in y
-    lateral_m_s2: np.ndarray  # (2,) specific force along x and y, smoothed
+    effectiveness: NDArray[np.float64]  # eta, 1: healthy; of declared motors what the data still say
+    deviation: NDArray[np.float64]
+    failed: NDArray[np.bool_]  # bool, latched
+    raw: NDArray[np.float64]  # (n,) y, without the motors declared, m/s^2 and rad/s^2
+    residual: NDArray[np.float64]  # (n,) y - phi a
+    disturbance: NDArray[np.float64]  # (n,) phi a
+    features: NDArray[np.float64] | None  # (d,) that phi was fed with
+    thrust_shown: NDArray[np.float64]  # w, thrust fractions as they show in y
+    lateral_m_s2: NDArray[np.float64]  # (2,) specific force along x and y, smoothed
     best: Hypothesis | None
     events: list[Event]
 
@@ -53,8 +54,8 @@ class Estimate:
 class Motion:
     """What the autopilot says of the vehicle's state: NED velocity (3,) m/s, body-to-NED quaternion (4,)."""
 
-    velocity_m_s: np.ndarray
-    quaternion: np.ndarray
+    velocity_m_s: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,14 +63,15 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
 
     time_s: float
     dt_s: float  # since the sample before
-    gyro: np.ndarray  # (3,) rad/s
-    specific_force: np.ndarray  # (3,) m/s^2
-    command: np.ndarray  # (m,) thrust fractions asked of the motors
-    stopped: np.ndarray | None = None  # (m,) bool: stand still by their rotor speeds
+    gyro: NDArray[np.float64]  # (3,) rad/s
+    specific_force: NDArray[np.float64]  # (3,) m/s^2
+    command: NDArray[np.float64]  # (m,) thrust fractions asked of the motors
+    stopped: NDArray[np.bool_] | None = None  # (m,) bool: stand still by their rotor speeds
     motion: Motion | None = None  # None: not known, phi stays what it was
     allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
-    failed: np.ndarray | None = None  # (m,) bool: declared; None: as the last step left it
-    tracking_error: np.ndarray | None = None  # (n,) s, actual - reference, where the law closes the loop; m/s, rad/s
+    failed: NDArray[np.bool_] | None = None  # (m,) bool: declared; None: as the last step left it
+    # (n,) s, actual - reference, where the law closes the loop; m/s, rad/s
+    tracking_error: NDArray[np.float64] | None = None
 
 
 @dataclass(slots=True)
@@ -77,11 +79,11 @@ class Seen:
     """What one sample shows, before anything is made of it."""
 
     filtered: ResidualState
-    side_drag: np.ndarray  # (m,) yaw acceleration per thrust fraction
-    effectiveness_matrix: np.ndarray  # B0 (n, m)
-    thrust_left: np.ndarray  # (m,) w, without the motors declared
-    raw: np.ndarray  # (n,) y
-    features: np.ndarray | None
+    side_drag: NDArray[np.float64]  # (m,) yaw acceleration per thrust fraction
+    effectiveness_matrix: NDArray[np.float64]  # B0 (n, m)
+    thrust_left: NDArray[np.float64]  # (m,) w, without the motors declared
+    raw: NDArray[np.float64]  # (n,) y
+    features: NDArray[np.float64] | None
     expectation: Expectation
-    residual: np.ndarray  # (n,) y - phi a
-    noise_weight: np.ndarray  # (n,) diagonal of W
+    residual: NDArray[np.float64]  # (n,) y - phi a
+    noise_weight: NDArray[np.float64]  # (n,) diagonal of W

@@ -16,6 +16,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import sparse
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
@@ -58,10 +59,10 @@ class Estimator:
     def start(
         self,
         time_s: float,
-        gyro: np.ndarray,
-        specific_force: np.ndarray,
-        command: np.ndarray,
-        failed: np.ndarray | None = None,
+        gyro: NDArray[np.float64],
+        specific_force: NDArray[np.float64],
+        command: NDArray[np.float64],
+        failed: NDArray[np.bool_] | None = None,
     ) -> EstimatorState:
         """State at the first sample of a flight; ``failed`` (m,) bool are declarations taken over."""
         m = self.vehicle.motors
@@ -173,7 +174,7 @@ class Estimator:
 
     def _accumulate(
         self, state: EstimatorState, seen: Seen, dt_s: float
-    ) -> tuple[sparse.Information, OnsetState, np.ndarray]:
+    ) -> tuple[sparse.Information, OnsetState, NDArray[np.float64]]:
         """S and q, the history of the onsets, and the slow part of w, with this sample."""
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
         information = sparse.update(
@@ -183,7 +184,7 @@ class Estimator:
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
 
     def _weigh(
-        self, state: EstimatorState, seen: Seen, onset: OnsetState, stopped: np.ndarray | None
+        self, state: EstimatorState, seen: Seen, onset: OnsetState, stopped: NDArray[np.bool_] | None
     ) -> tuple[Hypothesis | None, Hypothesis | None]:
         """The best explanation of the last moments by lost motors, and the one that rotor speeds name; None: none."""
         failed = state.decision.failed
@@ -207,8 +208,8 @@ class Estimator:
         seen: Seen,
         measurement: Measurement,
         rate: float,
-        effectiveness: np.ndarray,
-        failed: np.ndarray,
+        effectiveness: NDArray[np.float64],
+        failed: NDArray[np.bool_],
     ) -> tuple[DisturbanceState, SideDragState]:
         """a, and the rotors' share of the drag, from what no motor explains."""
         rest, dt_s = seen.raw, measurement.dt_s
@@ -230,7 +231,7 @@ class Estimator:
         variance = float(disturbance.variance[YAW])
         return disturbance, learn_side_drag(state.side_drag, slope, yaw, variance, dt_s, self.tuning.disturbance)
 
-    def _explained(self, effectiveness: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
+    def _explained(self, effectiveness: NDArray[np.float64], failed: NDArray[np.bool_]) -> NDArray[np.float64] | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
         too: the loss of a few, and what declared motors still give. None: nothing."""
         o, eta, declared = self.tuning.estimator, effectiveness.tolist(), failed.tolist()

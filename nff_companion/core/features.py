@@ -17,6 +17,7 @@ read the answer, a failure's as well as the wind's, and would explain away what 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 NAMES = (
     "velocity_x",
@@ -35,12 +36,12 @@ COMMAND = 10  # index of the input that depends on u
 
 
 def features(
-    velocity_m_s: np.ndarray,
-    quaternion: np.ndarray,
-    lateral_m_s2: np.ndarray,
-    rate_rad_s: np.ndarray,
-    commanded: np.ndarray,
-) -> np.ndarray:
+    velocity_m_s: NDArray[np.float64],
+    quaternion: NDArray[np.float64],
+    lateral_m_s2: NDArray[np.float64],
+    rate_rad_s: NDArray[np.float64],
+    commanded: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Input vector (11,) from NED velocity (3,), body-to-NED quaternion (4,), lateral specific force (2,), body rates
     (3,) and B0 w (n,)."""
     w, x, y, z = quaternion.tolist()

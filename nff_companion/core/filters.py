@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-Signal = TypeVar("Signal", float, np.ndarray)
+Signal = TypeVar("Signal", float, NDArray[np.float64])
 
 
 def lag_share(dt_s: float, time_constant_s: float) -> float:
@@ -49,7 +50,9 @@ class LowPass:
         return (new, first), self.b * (new + 2.0 * first + second)
 
 
-def loss_response(dt_s: float, samples: int, lag_s: float, low_pass: LowPass | None, smoothing_s: float) -> np.ndarray:
+def loss_response(
+    dt_s: float, samples: int, lag_s: float, low_pass: LowPass | None, smoothing_s: float
+) -> NDArray[np.float64]:
     """How a sudden loss shows in the residual: response (samples,) of lag, low-pass, mean of two samples and
     smoothing to a unit step at sample 0; goes from 0 to 1."""
     share, smooth = lag_share(dt_s, lag_s), lag_share(dt_s, smoothing_s)

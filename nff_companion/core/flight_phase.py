@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import FlightPhaseTuning
@@ -31,7 +32,7 @@ class FlightPhase:
         full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
         self._impact_squared = (self._tuning.impact_share * full + self._tuning.impact_m_s2) ** 2
 
-    def step(self, state: FlightPhaseState, sample: Sample, thrust: np.ndarray) -> FlightPhaseState:
+    def step(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> FlightPhaseState:
         """One sample; ``thrust`` (m,) fractions commanded."""
         height = None if sample.position_m is None else -float(sample.position_m[2])
         if not sample.armed:

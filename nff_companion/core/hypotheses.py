@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 _TINY = 1e-9
 
@@ -17,11 +18,11 @@ _TINY = 1e-9
 class Scores:
     """Best e and improvement of each hypothesis in each window."""
 
-    e: np.ndarray  # (K, H, s) eta - 1 of each motor of the set, in [-1, 0]
-    improvement: np.ndarray  # (K, H) fall of J, in nats
+    e: NDArray[np.float64]  # (K, H, s) eta - 1 of each motor of the set, in [-1, 0]
+    improvement: NDArray[np.float64]  # (K, H) fall of J, in nats
 
 
-def singles(matrix: np.ndarray, vector: np.ndarray, gamma: float) -> Scores:
+def singles(matrix: NDArray[np.float64], vector: NDArray[np.float64], gamma: float) -> Scores:
     """Scores of each motor alone, from S (K, m, m) and q (K, m)."""
     diagonal = np.einsum("kii->ki", matrix)
     linear = vector + gamma
@@ -29,7 +30,13 @@ def singles(matrix: np.ndarray, vector: np.ndarray, gamma: float) -> Scores:
     return Scores(e=e[:, :, None], improvement=linear * e - 0.5 * diagonal * e * e)
 
 
-def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarray, second: np.ndarray) -> Scores:
+def pairs(
+    matrix: NDArray[np.float64],
+    vector: NDArray[np.float64],
+    gamma: float,
+    first: NDArray[np.intp],
+    second: NDArray[np.intp],
+) -> Scores:
     """Scores of the pairs (first[h], second[h]); the box is searched exactly: interior, then its four edges."""
     a, b = matrix[:, first, first] + _TINY, matrix[:, second, second] + _TINY
     c = matrix[:, first, second]
@@ -39,7 +46,7 @@ def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarra
     inside_x, inside_y = (b * p - c * q) / safe, (a * q - c * p) / safe
     ok = (inside_x <= 0) & (inside_x >= -1) & (inside_y <= 0) & (inside_y >= -1) & np.isfinite(safe)
 
-    def value(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def value(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return p * x + q * y - 0.5 * (a * x * x + 2 * c * x * y + b * y * y)
 
     best_x, best_y = np.where(ok, inside_x, 0.0), np.where(ok, inside_y, 0.0)
@@ -57,8 +64,8 @@ def pairs(matrix: np.ndarray, vector: np.ndarray, gamma: float, first: np.ndarra
 
 
 def without_nuisance(
-    matrix: np.ndarray, vector: np.ndarray, energy: np.ndarray, nuisance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    matrix: NDArray[np.float64], vector: NDArray[np.float64], energy: NDArray[np.float64], nuisance: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """S, q, energy after the columns ``nuisance`` (indices) are fitted freely, and their coefficients (.., |nuisance|).
     Any axes may lead.
 

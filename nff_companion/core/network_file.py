@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.features import NAMES
 from nff_companion.core.toml_file import Text, explained
@@ -49,7 +50,7 @@ class Metadata(msgspec.Struct, frozen=True):
     covers: list[Literal["thrust", "roll", "pitch", "yaw"]] = []
 
 
-def read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
     """Arrays by name, as float64, and the metadata. Raises NetworkError naming file, array and what is allowed."""
     try:
         arrays = _arrays(path)
@@ -69,10 +70,10 @@ def _refuse(what: str) -> NoReturn:
     raise NetworkError(what)
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     if path.stat().st_size > SIZE_MAX:
         _refuse(f"file of {path.stat().st_size} bytes; at most {SIZE_MAX} are allowed")
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         if sum(entry.file_size for entry in entries) > SIZE_MAX:
@@ -87,7 +88,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _array(name: str, body: bytes) -> np.ndarray:
+def _array(name: str, body: bytes) -> NDArray[Any]:
     """One array; its header is believed only where the bytes that follow are as many as it says."""
     stream = io.BytesIO(body)
     version = np.lib.format.read_magic(stream)
@@ -102,7 +103,7 @@ def _array(name: str, body: bytes) -> np.ndarray:
     return np.asarray(np.load(io.BytesIO(body), allow_pickle=False))
 
 
-def _metadata(array: np.ndarray | None) -> dict[str, Any]:
+def _metadata(array: NDArray[Any] | None) -> dict[str, Any]:
     if array is None:
         _refuse("metadata are missing")
     if array.shape != () or array.dtype.kind != "U":
@@ -127,7 +128,7 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
         _refuse(f"metadata.{explained(error, Metadata, metadata)}")
 
 
-def _check_arrays(arrays: dict[str, np.ndarray]) -> None:
+def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
     """Names, types, shapes that fit each other, and sizes of the numbers."""
     layers = min(sum(name.startswith("weight_") for name in arrays), LAYERS_MAX)
     wanted = [f"{kind}_{i}" for i in range(max(layers, 1)) for kind in ("weight", "bias")] + [*_VECTORS, "prior"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.filters import LowPass, loss_response
 from nff_companion.core.tuning import Tuning
@@ -21,10 +22,10 @@ class OnsetState:
     """The last L samples, in a ring written twice: rows ``next`` and ``next + L`` are the same sample, so that any L
     rows that follow each other are a window. The arrays change in place."""
 
-    thrust_shown: np.ndarray  # (2 L, m) w
-    steady: np.ndarray  # (2 L, m) slow part of w
-    residual: np.ndarray  # (2 L, n) y
-    effectiveness_matrix: np.ndarray  # (2 L, n, m) B0 of that moment
+    thrust_shown: NDArray[np.float64]  # (2 L, m) w
+    steady: NDArray[np.float64]  # (2 L, m) slow part of w
+    residual: NDArray[np.float64]  # (2 L, n) y
+    effectiveness_matrix: NDArray[np.float64]  # (2 L, n, m) B0 of that moment
     next: int = 0
 
 
@@ -32,10 +33,10 @@ class OnsetState:
 class OnsetSums:
     """Statistics of each window: S (K, m, m), q (K, m), energy (K,), and its age (K,) in s."""
 
-    matrix: np.ndarray
-    vector: np.ndarray
-    energy: np.ndarray
-    age_s: np.ndarray
+    matrix: NDArray[np.float64]
+    vector: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    age_s: NDArray[np.float64]
 
 
 class OnsetBank:
@@ -84,10 +85,10 @@ class OnsetBank:
     def push(
         self,
         state: OnsetState,
-        thrust_shown: np.ndarray,
-        residual: np.ndarray,
-        effectiveness_matrix: np.ndarray,
-        steady: np.ndarray,
+        thrust_shown: NDArray[np.float64],
+        residual: NDArray[np.float64],
+        effectiveness_matrix: NDArray[np.float64],
+        steady: NDArray[np.float64],
     ) -> OnsetState:
         """Keep one sample: w (m,), y (n,), B0 (n, m) in accelerations and the slow part (m,) of w. What they amount to
         is computed when it is asked for: most flights never ask."""
@@ -101,7 +102,11 @@ class OnsetBank:
         return state
 
     def sums(
-        self, state: OnsetState, effectiveness_matrix: np.ndarray, variance: np.ndarray, yaw_error: float
+        self,
+        state: OnsetState,
+        effectiveness_matrix: NDArray[np.float64],
+        variance: NDArray[np.float64],
+        yaw_error: float,
     ) -> OnsetSums:
         """Statistics of all windows; ``effectiveness_matrix`` (n, m) in accelerations, ``variance`` (n,) of y in steady
         flight; ``yaw_error``: yaw torque not modelled, as a share of roll and pitch torque."""
@@ -120,8 +125,13 @@ class OnsetBank:
         return self._marginal(sums, w, y, b, noise_weight, variance) if self._joint else sums
 
     def _total_variance(
-        self, state: OnsetState, last: slice, squared: np.ndarray, variance: np.ndarray, yaw_error: float
-    ) -> np.ndarray:
+        self,
+        state: OnsetState,
+        last: slice,
+        squared: NDArray[np.float64],
+        variance: NDArray[np.float64],
+        yaw_error: float,
+    ) -> NDArray[np.float64]:
         """Variance (n,) of y by noise and by errors of the model. One for all windows: their improvements are then
         likelihoods of the same data. ``squared`` (L, n) y^2."""
         o, error = self._tuning, self._error.copy()
@@ -136,11 +146,11 @@ class OnsetBank:
     def _marginal(
         self,
         sums: OnsetSums,
-        thrust_shown: np.ndarray,
-        residual: np.ndarray,
-        effectiveness_matrix: np.ndarray,
-        noise_weight: np.ndarray,
-        variance: np.ndarray,
+        thrust_shown: NDArray[np.float64],
+        residual: NDArray[np.float64],
+        effectiveness_matrix: NDArray[np.float64],
+        noise_weight: NDArray[np.float64],
+        variance: NDArray[np.float64],
     ) -> OnsetSums:
         """phi a may be wrong by a constant in the window, of the residual's own variance: integrated out."""
         shift = self._joint**2 * variance

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.vehicle import Vehicle
@@ -21,7 +22,7 @@ class MatrixAdaptation(Protocol):
     def step(self, state: Any, estimate: Estimate, dt_s: float) -> Any:
         """One sample."""
 
-    def allocation(self, state: Any, fallback: np.ndarray) -> tuple[Any, np.ndarray]:
+    def allocation(self, state: Any, fallback: NDArray[np.float64]) -> tuple[Any, NDArray[np.float64]]:
         """The right inverse (m, n), ``fallback`` where there is none."""
 
 
@@ -34,7 +35,7 @@ class Parts:
     learn: bool = True  # phi a by the network's basis, subtracted from y and fed forward
     feed_lateral: bool = True  # the lateral specific force, measured
     joint: float = 0.0  # 0: phi a first, then losses; else together, phi a off by so many deviations
-    target: Callable[[Estimate], np.ndarray] | None = None  # another rule for what to allocate for
+    target: Callable[[Estimate], NDArray[np.float64]] | None = None  # another rule for what to allocate for
     adapt: Callable[[Vehicle], MatrixAdaptation] | None = None
     estimator: Callable[[Vehicle, float], Any] | None = None  # a peer in place of ours
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.filters import LowPass, lag_share
 from nff_companion.core.tuning import ResidualTuning
@@ -36,31 +37,31 @@ class ResidualState:
 
     gyro: list[float]  # (3,) rad/s
     up: float  # upward specific force, m/s^2
-    command: np.ndarray  # (m,)
-    lagged: np.ndarray  # (m,) after the motor's lag
-    low_pass: tuple[np.ndarray, np.ndarray]  # (m,) each
+    command: NDArray[np.float64]  # (m,)
+    lagged: NDArray[np.float64]  # (m,) after the motor's lag
+    low_pass: tuple[NDArray[np.float64], NDArray[np.float64]]  # (m,) each
     sensor_low_pass: tuple[float, float]  # for a filter that only one of the two sensors has
-    filtered: np.ndarray  # (m,) after the gyro filter
-    thrust_shown: np.ndarray  # (m,) w, after the whole chain: as it shows in y
-    smoothed: np.ndarray  # (11,) what is measured, after its first-order lag: the four properties below
+    filtered: NDArray[np.float64]  # (m,) after the gyro filter
+    thrust_shown: NDArray[np.float64]  # (m,) w, after the whole chain: as it shows in y
+    smoothed: NDArray[np.float64]  # (11,) what is measured, after its first-order lag: the four properties below
 
     @property
-    def measured(self) -> np.ndarray:
+    def measured(self) -> NDArray[np.float64]:
         """(n,) x' - f(x): upward specific force, m/s^2, and angular accelerations, rad/s^2."""
         return self.smoothed[:4]
 
     @property
-    def lateral_m_s2(self) -> np.ndarray:
+    def lateral_m_s2(self) -> NDArray[np.float64]:
         """(2,) specific force along x and y."""
         return self.smoothed[4:6]
 
     @property
-    def rate_rad_s(self) -> np.ndarray:
+    def rate_rad_s(self) -> NDArray[np.float64]:
         """(3,) body rates."""
         return self.smoothed[6:9]
 
     @property
-    def lateral_slow_m_s2(self) -> np.ndarray:
+    def lateral_slow_m_s2(self) -> NDArray[np.float64]:
         """(2,) specific force along x and y, smoothed for ``lateral_s``."""
         return self.smoothed[9:]
 
@@ -88,7 +89,9 @@ class ResidualFilter:
         # (2, m) yaw acceleration per lateral specific force, were it all at one rotor
         self._side_drag = vehicle.mass_kg / vehicle.inertia_kg_m2[2] * np.stack([-y, x])
 
-    def start(self, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray) -> ResidualState:
+    def start(
+        self, gyro: NDArray[np.float64], specific_force: NDArray[np.float64], command: NDArray[np.float64]
+    ) -> ResidualState:
         """State as if the vehicle had flown like this for ever."""
         p, q, r = gyro.tolist()
         fx, fy, fz = specific_force.tolist()
@@ -105,7 +108,7 @@ class ResidualFilter:
             smoothed=np.array([-fz, 0.0, 0.0, 0.0, fx, fy, p, q, r, fx, fy]),
         )
 
-    def side_drag(self, state: ResidualState) -> np.ndarray:
+    def side_drag(self, state: ResidualState) -> NDArray[np.float64]:
         """Yaw acceleration (m,) of each motor per thrust fraction if all the lateral drag acted at the rotors.
 
         A rotor's share of the drag goes with its speed, the root of its thrust.
@@ -113,14 +116,19 @@ class ResidualFilter:
         speed = np.sqrt(np.maximum(state.thrust_shown, self._idle))
         return state.lateral_slow_m_s2.dot(self._side_drag) / (speed * speed.sum())
 
-    def effectiveness_matrix(self, side_drag: np.ndarray, rotor_share: float) -> np.ndarray:
+    def effectiveness_matrix(self, side_drag: NDArray[np.float64], rotor_share: float) -> NDArray[np.float64]:
         """B0 (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
         matrix = self._nominal.copy()
         matrix[YAW] += rotor_share * side_drag
         return matrix
 
     def step(
-        self, state: ResidualState, gyro: np.ndarray, specific_force: np.ndarray, command: np.ndarray, dt_s: float
+        self,
+        state: ResidualState,
+        gyro: NDArray[np.float64],
+        specific_force: NDArray[np.float64],
+        command: NDArray[np.float64],
+        dt_s: float,
     ) -> ResidualState:
         """One sample: ``gyro`` (3,) rad/s, ``specific_force`` (3,) m/s^2, ``command`` (m,) thrust fractions.
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.tuning import RotorSpeedTuning
 
@@ -68,8 +69,13 @@ class RotorSpeedWatch:
         self._none.flags.writeable = False
 
     def step(
-        self, state: RotorSpeedState, time_s: float, speed: np.ndarray, read_s: np.ndarray, thrust: np.ndarray
-    ) -> np.ndarray:
+        self,
+        state: RotorSpeedState,
+        time_s: float,
+        speed: NDArray[np.float64],
+        read_s: NDArray[np.float64],
+        thrust: NDArray[np.float64],
+    ) -> NDArray[np.bool_]:
         """(m,) bool: motors that are driven and stand still. ``speed`` (m,) rad/s with the times ``read_s`` (m,) of
         their readings, NaN: none; ``thrust`` (m,) fractions asked for."""
         o = self.tuning
@@ -146,7 +152,7 @@ class RotorSpeedWatch:
             motor.since_s = time_s
         return time_s - motor.since_s < self.tuning.fault_s
 
-    def faults(self, state: RotorSpeedState, failed: np.ndarray) -> np.ndarray:
+    def faults(self, state: RotorSpeedState, failed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(m,) bool: stopped by telemetry for a while, but nothing was declared: the residual says that they pull."""
         lasting = [state.last_s - motor.since_s >= self.tuning.fault_s for motor in state.motors]
         return np.array(lasting) & ~failed

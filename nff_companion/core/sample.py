@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 _SPEED_MAX_M_S = 200.0  # beyond what a vehicle flies: a fault of the estimate or of the link
 
@@ -19,21 +20,21 @@ class Sample:
     """
 
     time_s: float
-    gyro_rad_s: np.ndarray  # (3,)
-    specific_force_m_s2: np.ndarray  # (3,)
-    output: np.ndarray  # (m,)
+    gyro_rad_s: NDArray[np.float64]  # (3,)
+    specific_force_m_s2: NDArray[np.float64]  # (3,)
+    output: NDArray[np.float64]  # (m,)
     armed: bool
-    quaternion: np.ndarray | None = None  # (4,) w x y z, body to NED
-    position_m: np.ndarray | None = None  # (3,)
-    velocity_m_s: np.ndarray | None = None  # (3,)
-    target_position_m: np.ndarray | None = None  # (3,)
+    quaternion: NDArray[np.float64] | None = None  # (4,) w x y z, body to NED
+    position_m: NDArray[np.float64] | None = None  # (3,)
+    velocity_m_s: NDArray[np.float64] | None = None  # (3,)
+    target_position_m: NDArray[np.float64] | None = None  # (3,)
     target_yaw_rad: float | None = None
-    target_velocity_m_s: np.ndarray | None = None  # (3,)
-    target_acceleration_m_s2: np.ndarray | None = None  # (3,)
+    target_velocity_m_s: NDArray[np.float64] | None = None  # (3,)
+    target_acceleration_m_s2: NDArray[np.float64] | None = None  # (3,)
     landed: bool | None = None  # by the autopilot's word; None: it does not say
-    thrust: np.ndarray | None = None  # (m,)
-    rotor_speed_rad_s: np.ndarray | None = None  # (m,) NaN: no reading
-    rotor_speed_time_s: np.ndarray | None = None  # (m,) when each was read
+    thrust: NDArray[np.float64] | None = None  # (m,)
+    rotor_speed_rad_s: NDArray[np.float64] | None = None  # (m,) NaN: no reading
+    rotor_speed_time_s: NDArray[np.float64] | None = None  # (m,) when each was read
 
     @property
     def moves_plausibly(self) -> bool:

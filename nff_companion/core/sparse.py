@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import daqp
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.tuning import SparseTuning
 from nff_companion.errors import SolverError
@@ -24,8 +25,8 @@ _TINY = 1e-9
 class Information:
     """S (m, m), q (m,) and the weighted energy of y, all with forgetting."""
 
-    matrix: np.ndarray
-    vector: np.ndarray
+    matrix: NDArray[np.float64]
+    vector: NDArray[np.float64]
     energy: float
 
     @staticmethod
@@ -36,9 +37,9 @@ class Information:
 
 def update(
     information: Information,
-    regressor: np.ndarray,
-    residual: np.ndarray,
-    noise_weight: np.ndarray,
+    regressor: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    noise_weight: NDArray[np.float64],
     dt_s: float,
     forgetting_per_s: float,
 ) -> Information:
@@ -52,7 +53,7 @@ def update(
     )
 
 
-def solve(information: Information, gamma: float, lower: np.ndarray | None = None) -> np.ndarray:
+def solve(information: Information, gamma: float, lower: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
     """e (m,) minimising the program above. ``lower`` (m,) replaces -1. Raises SolverError.
 
     A motor without information (never driven) is left at 0: the l1 term alone decides it.
@@ -73,7 +74,9 @@ def solve(information: Information, gamma: float, lower: np.ndarray | None = Non
     return e
 
 
-def _box_program(hessian: np.ndarray, gradient: np.ndarray, lower: np.ndarray | None) -> np.ndarray:
+def _box_program(
+    hessian: NDArray[np.float64], gradient: NDArray[np.float64], lower: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
     """e minimising 1/2 e'H e + g'e in ``lower``, None: -1, to 0. ``hessian`` is written to. Raises SolverError."""
     count = len(gradient)
     # S has rank n at constant u: a proximal term far below the data makes the program strictly convex.
@@ -85,7 +88,7 @@ def _box_program(hessian: np.ndarray, gradient: np.ndarray, lower: np.ndarray | 
     return np.minimum(np.maximum(e, low), high)
 
 
-def effectiveness(information: Information, failed: np.ndarray, tuning: SparseTuning) -> np.ndarray:
+def effectiveness(information: Information, failed: NDArray[np.bool_], tuning: SparseTuning) -> NDArray[np.float64]:
     """eta (m,); motors already ``failed`` (m,) bool have a free coefficient in 0..``free_max`` instead of a loss,
     fitted with the losses of the others: hypotheses.without_nuisance for one window. Raises SolverError."""
     if True not in failed.tolist():
@@ -107,7 +110,7 @@ def effectiveness(information: Information, failed: np.ndarray, tuning: SparseTu
     return eta
 
 
-def deviation(information: Information, prior: float = 1.0) -> np.ndarray:
+def deviation(information: Information, prior: float = 1.0) -> NDArray[np.float64]:
     """Standard deviation (m,) of each e given the others, under a prior of standard deviation ``prior``.
 
     Given the others: at constant u the wrench has four axes for m motors, so that without the sparsity no motor
@@ -116,7 +119,7 @@ def deviation(information: Information, prior: float = 1.0) -> np.ndarray:
     return np.asarray(1.0 / np.sqrt(np.maximum(information.matrix.diagonal(), 0.0) + 1.0 / prior**2))
 
 
-def shape(effectiveness: np.ndarray, full_at: float, none_below: float) -> np.ndarray:
+def shape(effectiveness: NDArray[np.float64], full_at: float, none_below: float) -> NDArray[np.float64]:
     """Shaping (24): 1 from ``full_at`` (zeta), 0 below ``none_below`` (xi), linear between."""
     scaled = np.clip((effectiveness - none_below) / (full_at - none_below), 0.0, 1.0)
     return np.where(effectiveness < none_below, 0.0, scaled)

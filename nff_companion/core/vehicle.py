@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import toml_file
 from nff_companion.core.airframe_file import (
@@ -74,12 +75,12 @@ class Vehicle:
         return len(AXES)
 
     @cached_property
-    def effectiveness_si(self) -> np.ndarray:
+    def effectiveness_si(self) -> NDArray[np.float64]:
         """B0 (n, m): N and N m for thrust fraction 1 of each motor."""
         return effectiveness_si(self.position_m, self.spin, self.motor)
 
     @cached_property
-    def acceleration_effectiveness(self) -> np.ndarray:
+    def acceleration_effectiveness(self) -> NDArray[np.float64]:
         """B0 over mass and inertia (n, m): upward specific force m/s^2 and angular accelerations rad/s^2."""
         scale = np.concatenate([[self.mass_kg], self.inertia_kg_m2])
         return self.effectiveness_si / scale[:, None]
@@ -90,17 +91,17 @@ class Vehicle:
         return float(np.linalg.norm(self.acceleration_effectiveness[THRUST]))
 
     @cached_property
-    def row_scale(self) -> np.ndarray:
+    def row_scale(self) -> NDArray[np.float64]:
         """(n,) sum of the positive entries of each row of B0 in SI: what 1 means in normalised units."""
         return np.maximum(self.effectiveness_si, 0.0).sum(axis=1)
 
     @cached_property
-    def effectiveness(self) -> np.ndarray:
+    def effectiveness(self) -> NDArray[np.float64]:
         """B0 (n, m) with each row over the sum of its positive entries: the normalised units of all allocation."""
         return self.effectiveness_si / self.row_scale[:, None]
 
     @cached_property
-    def normalised_per_acceleration(self) -> np.ndarray:
+    def normalised_per_acceleration(self) -> NDArray[np.float64]:
         """(n,) what 1 m/s^2 or rad/s^2 is in normalised units."""
         return np.concatenate([[self.mass_kg], self.inertia_kg_m2]) / self.row_scale
 
@@ -109,20 +110,20 @@ class Vehicle:
         """h: weight over the thrust of all motors."""
         return self.mass_kg * GRAVITY_M_S2 / (self.motors * self.motor.max_thrust_n)
 
-    def thrust_fraction(self, output: np.ndarray) -> np.ndarray:
+    def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust fraction u of motor outputs in 0..1 (command to thrust curve)."""
         c = self.command
         ratio = np.minimum(np.maximum((output - c.spin_min) / (c.spin_max - c.spin_min), 0.0), 1.0)
         return ratio * ((1.0 - c.thrust_expo) + c.thrust_expo * ratio)
 
-    def output_for(self, thrust_fraction: np.ndarray) -> np.ndarray:
+    def output_for(self, thrust_fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """Motor output 0..1 for a thrust fraction, the inverse of ``thrust_fraction`` above idle."""
         c, u = self.command, np.minimum(np.maximum(thrust_fraction, 0.0), 1.0)
         e = c.thrust_expo
         ratio = u if e == 0.0 else (np.sqrt((1.0 - e) ** 2 + 4.0 * e * u) - (1.0 - e)) / (2.0 * e)
         return c.spin_min + (c.spin_max - c.spin_min) * ratio
 
-    def output_of_pwm(self, pwm_us: np.ndarray) -> np.ndarray:
+    def output_of_pwm(self, pwm_us: NDArray[np.float64]) -> NDArray[np.float64]:
         """Motor output 0..1 of a pulse width."""
         c = self.command
         return np.minimum(np.maximum((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0), 1.0)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
@@ -29,7 +30,7 @@ _TABLES = {
 }
 
 
-def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def _read(path: Path) -> tuple[dict[str, NDArray[np.float64]], dict[str, float]]:
     """Tables with the time in s in their first column, of the first sensor and the first filter; parameters."""
     from pymavlink import DFReader
 
@@ -57,7 +58,7 @@ def _channels(parameters: dict[str, float], motors: int, path: Path) -> list[int
     return [by_function[_MOTOR_FUNCTIONS[k]] for k in range(motors)]
 
 
-def _at(table: np.ndarray | None, time_s: np.ndarray) -> np.ndarray | None:
+def _at(table: NDArray[np.float64] | None, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Columns of ``table``, interpolated."""
     if table is None:
         return None

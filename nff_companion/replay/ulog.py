@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import LogTable, Vehicle
@@ -16,25 +17,25 @@ _DEFAULT = LogTable(topic="actuator_outputs", field="output[{}]", unit="pwm")
 _IMU = "sensor_combined"
 
 
-def _open(path: Path, topics: list[str]) -> dict[str, dict[str, np.ndarray]]:
+def _open(path: Path, topics: list[str]) -> dict[str, dict[str, NDArray[Any]]]:
     from pyulog import ULog
 
     try:
         log = ULog(str(path), topics)
     except Exception as error:  # pyulog raises whatever its parser trips over
         raise LogError(f"{path} is not a readable ULog: {error}") from error
-    tables: dict[str, dict[str, np.ndarray]] = {}
+    tables: dict[str, dict[str, NDArray[Any]]] = {}
     for item in log.data_list:
         tables.setdefault(item.name, item.data)
     return tables
 
 
-def _time(table: dict[str, np.ndarray]) -> np.ndarray:
+def _time(table: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     # The first stamps of some logs underflow: they are signed.
-    return 1e-6 * table["timestamp"].astype(np.int64)
+    return cast("NDArray[np.float64]", 1e-6 * table["timestamp"].astype(np.int64))
 
 
-def _columns(table: dict[str, np.ndarray], pattern: str, count: int, path: Path) -> np.ndarray:
+def _columns(table: dict[str, NDArray[Any]], pattern: str, count: int, path: Path) -> NDArray[np.float64]:
     names = [pattern.format(i) for i in range(count)]
     missing = [n for n in names if n not in table]
     if missing:
@@ -81,23 +82,29 @@ def samples(path: Path, vehicle: Vehicle) -> Iterator[tuple[float, Sample]]:
         )
 
 
-def _newest(times: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _newest(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.intp]:
     """Index of the newest entry at each time, -1 before the first."""
     return np.searchsorted(times, at, side="right") - 1
 
 
 def _armed(
-    tables: dict[str, Any], time_s: np.ndarray, mapping: LogTable, command: np.ndarray, newest: np.ndarray
-) -> np.ndarray:
+    tables: dict[str, Any],
+    time_s: NDArray[np.float64],
+    mapping: LogTable,
+    command: NDArray[np.float64],
+    newest: NDArray[np.intp],
+) -> NDArray[np.bool_]:
     """Armed flag; where the commands are those of a controller of the user's own, thrust is the flag."""
     if mapping.unit == "N" or "actuator_armed" not in tables:
-        return (command[np.maximum(newest, 0)] > 0.0).any(axis=1)
-    flag = np.asarray(tables["actuator_armed"]["armed"], bool)
+        return cast("NDArray[np.bool_]", (command[np.maximum(newest, 0)] > 0.0).any(axis=1))
+    flag: NDArray[np.bool_] = np.asarray(tables["actuator_armed"]["armed"], bool)
     index = _newest(_time(tables["actuator_armed"]), time_s)
     return flag[np.maximum(index, 0)] & (index >= 0)
 
 
-def _positions(tables: dict[str, Any], time_s: np.ndarray, axes: tuple[str, ...]) -> np.ndarray | None:
+def _positions(
+    tables: dict[str, Any], time_s: NDArray[np.float64], axes: tuple[str, ...]
+) -> NDArray[np.float64] | None:
     table = tables.get("vehicle_local_position")
     if table is None or len(table["timestamp"]) == 0:
         return None
@@ -105,7 +112,7 @@ def _positions(tables: dict[str, Any], time_s: np.ndarray, axes: tuple[str, ...]
     return np.stack([np.interp(time_s, at, table[axis]) for axis in axes], axis=1)
 
 
-def _attitudes(tables: dict[str, Any], time_s: np.ndarray) -> np.ndarray | None:
+def _attitudes(tables: dict[str, Any], time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Newest quaternion (w, x, y, z) at each time."""
     table = tables.get("vehicle_attitude")
     if table is None or len(table["timestamp"]) == 0 or "q[0]" not in table:

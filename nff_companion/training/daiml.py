@@ -19,6 +19,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.basis_network import FORMAT, Basis
 from nff_companion.core.features import COMMAND, NAMES
@@ -89,7 +90,7 @@ class Trainer:
         self._iteration = 0
         self._cap()
 
-    def _tensor(self, values: np.ndarray) -> torch.Tensor:
+    def _tensor(self, values: NDArray[np.float64]) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
     def run(
@@ -241,7 +242,7 @@ class Trainer:
         }
         return replace(whole, prior=prior, metadata=described)
 
-    def _prior(self, even: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    def _prior(self, even: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray[np.float64]:
         """Mean over the conditions of their least squares coefficients."""
         solved = []
         for inputs, targets in zip(self._inputs, self._targets, strict=True):

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion import condition as conditions
 from nff_companion.companion import Companion
@@ -31,8 +32,8 @@ class Condition:
     """One flight: ``features`` (L, d) and ``residual`` (L, n) in SI, ``rate_hz`` rows a second."""
 
     name: str
-    features: np.ndarray
-    residual: np.ndarray
+    features: NDArray[np.float64]
+    residual: NDArray[np.float64]
     rate_hz: float = RATE_HZ
 
 
@@ -65,8 +66,8 @@ class Recorder:
         self._companion = Companion(vehicle, rate_hz, parts=Parts(name="nf", identify=False))
         self._state = self._companion.start(conditions.Mode.OBSERVE)
         self._vehicle, self._rate_hz = vehicle, min(rate_hz, RATE_HZ)
-        self._features: list[np.ndarray] = []
-        self._residual: list[np.ndarray] = []
+        self._features: list[NDArray[np.float64]] = []
+        self._residual: list[NDArray[np.float64]] = []
         self._due_s = -np.inf
         self._flying_since_s: float | None = None
 
@@ -98,7 +99,7 @@ class Recorder:
         self._plausible(name, residual)
         return Condition(name, np.array(self._features), residual, self._rate_hz)
 
-    def _plausible(self, name: str, residual: np.ndarray) -> None:
+    def _plausible(self, name: str, residual: NDArray[np.float64]) -> None:
         """Raises LogError where the airframe cannot be the one that flew."""
         one = np.sqrt(((self._vehicle.acceleration_effectiveness * self._vehicle.hover) ** 2).mean(axis=1))
         mean = np.abs(residual.mean(axis=0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.disturbance import Disturbance
@@ -36,7 +37,7 @@ class Score(msgspec.Struct, frozen=True):
         return [axis for axis, share, ratio in shares if share >= EXPLAINED_MIN and ratio <= ERROR_OVER_CONSTANT_MAX]
 
 
-def prediction_errors(disturbance: Disturbance, condition: Condition) -> np.ndarray:
+def prediction_errors(disturbance: Disturbance, condition: Condition) -> NDArray[np.float64]:
     """y_k - phi_k a_(k-1) (L, n), SI, adapting from row to row."""
     state, dt_s = disturbance.start(), 1.0 / condition.rate_hz
     errors = np.empty_like(condition.residual)
@@ -70,11 +71,11 @@ def score(vehicle: Vehicle, basis: Basis, data: Dataset, tuning: Tuning | None =
     def skip(condition: Condition) -> int:
         return round(_WARM_UP_S * condition.rate_hz)
 
-    def squares(disturbance: Disturbance) -> np.ndarray:
+    def squares(disturbance: Disturbance) -> NDArray[np.float64]:
         rows = [prediction_errors(disturbance, condition)[skip(condition) :] ** 2 for condition in data.conditions]
         return np.asarray(np.concatenate(rows).mean(axis=0))
 
-    def within(rows: list[np.ndarray]) -> np.ndarray:
+    def within(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
         return np.asarray(np.concatenate([(y - y.mean(axis=0)) ** 2 for y in rows]).mean(axis=0))
 
     error, other, faster = squares(network), squares(constant), squares(fast)
@@ -87,7 +88,7 @@ def score(vehicle: Vehicle, basis: Basis, data: Dataset, tuning: Tuning | None =
         ]
     )
 
-    def listed(values: np.ndarray) -> list[float]:
+    def listed(values: NDArray[np.float64]) -> list[float]:
         return [round(float(v), 4) for v in values]
 
     return Score(

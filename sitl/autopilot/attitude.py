@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.autopilot.shaping import Gains, Pid, square_root_controller
@@ -32,14 +33,20 @@ class AttitudeControl:
         self.target_rate = np.zeros((vehicles, 3))
         self.rates = Pid(_RATES, vehicles, dt_s)
 
-    def reset(self, mask: np.ndarray, quaternion: np.ndarray) -> None:
+    def reset(self, mask: NDArray[np.bool_], quaternion: NDArray[np.float64]) -> None:
         """Start from the present heading, level, at rest, for vehicles in ``mask`` (N,)."""
         if mask.any():
             self.target[mask] = rotation.from_yaw(rotation.yaw_of(quaternion[mask]))
             self.target_rate[mask] = 0.0
             self.rates.reset(mask)
 
-    def step(self, desired: np.ndarray, quaternion: np.ndarray, gyro: np.ndarray, limited: np.ndarray) -> np.ndarray:
+    def step(
+        self,
+        desired: NDArray[np.float64],
+        quaternion: NDArray[np.float64],
+        gyro: NDArray[np.float64],
+        limited: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
         """``desired`` (N, 4) attitude; ``limited`` (N, 3) from the mixer. Returns demand (N, 3) in -1..1."""
         wanted = rotation.swing_and_twist(rotation.multiply(rotation.conjugate(self.target), desired))
         rate = np.empty_like(wanted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
@@ -40,7 +41,9 @@ class Allocation(IntEnum):
 class Autopilot:
     """Knows the nominal airframe only; ``hover_error`` (N,) is how wrong its idea of the hover throttle is."""
 
-    def __init__(self, parameters: PlantParameters, dt_s: float, hover_error: np.ndarray | None = None) -> None:
+    def __init__(
+        self, parameters: PlantParameters, dt_s: float, hover_error: NDArray[np.float64] | None = None
+    ) -> None:
         n, m = parameters.vehicles, parameters.motors
         self._p, self._dt = parameters, dt_s
         hover = parameters.mass_kg * GRAVITY_M_S2 / parameters.max_thrust_n.sum(axis=1)
@@ -141,7 +144,7 @@ class Autopilot:
                 self._factors[vehicle] = port.factors
             self._override[vehicle] = (port.pwm_at(now_s) - p.pwm_min) / (p.pwm_max - p.pwm_min)
 
-    def step(self, measured: Measured, now_s: float) -> np.ndarray:
+    def step(self, measured: Measured, now_s: float) -> NDArray[np.float64]:
         """One cycle of the loops; returns the motor outputs (N, m) in 0..1."""
         self._read_ports(now_s)
         if self.scripted or self.overridden:

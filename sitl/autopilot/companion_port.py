@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 OVERRIDE_TIMEOUT_MAX_S = 0.1
 MATRIX_TIMEOUT_MAX_S = 2.0
@@ -20,7 +21,7 @@ REFUSALS = ("range", "nan", "stale", "replay", "dimension", "disarmed")
 
 @dataclass(slots=True)
 class _Held:
-    value: np.ndarray
+    value: NDArray[np.float64]
     sequence: int
     expires_s: float
 
@@ -52,7 +53,7 @@ class CompanionPort:
 
     def receive_matrix(
         self,
-        matrix: np.ndarray,
+        matrix: NDArray[np.float64],
         *,
         sequence: int,
         sample_s: float,
@@ -83,7 +84,14 @@ class CompanionPort:
         return None
 
     def receive_override(
-        self, outputs: np.ndarray, *, sequence: int, sample_s: float, timeout_s: float, now_s: float, armed: bool
+        self,
+        outputs: NDArray[np.float64],
+        *,
+        sequence: int,
+        sample_s: float,
+        timeout_s: float,
+        now_s: float,
+        armed: bool,
     ) -> str | None:
         """Take motor outputs (m,) in 0..1, NaN: leave that motor to the mixer. Returns the reason of a refusal."""
         refusal = self._check(self._override, sequence, self._last_override, sample_s, now_s)
@@ -105,7 +113,7 @@ class CompanionPort:
         return None
 
     def receive_declaration(
-        self, failed: np.ndarray, *, sequence: int, sample_s: float, now_s: float, armed: bool
+        self, failed: NDArray[np.bool_], *, sequence: int, sample_s: float, now_s: float, armed: bool
     ) -> str | None:
         """Take the set of motors declared failed, (m,) bool. It stays until declared otherwise or disarmed."""
         if not -0.05 <= now_s - sample_s <= STALE_AFTER_S:
@@ -127,13 +135,13 @@ class CompanionPort:
         self.failed = np.zeros(self.motors, bool)
         self.declaration_sequence = 0
 
-    def matrix_at(self, now_s: float) -> np.ndarray | None:
+    def matrix_at(self, now_s: float) -> NDArray[np.float64] | None:
         """The matrix in force, or None when none is fresh."""
         if self._matrix is not None and now_s > self._matrix.expires_s:
             self._matrix = None
         return None if self._matrix is None else self._matrix.value
 
-    def override_at(self, now_s: float) -> np.ndarray | None:
+    def override_at(self, now_s: float) -> NDArray[np.float64] | None:
         """The outputs in force, or None when none are fresh."""
         if self._override is not None and now_s > self._override.expires_s:
             self._override = None

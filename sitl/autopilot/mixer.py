@@ -8,18 +8,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 YAW_HEADROOM = 0.2  # MOT_YAW_HEADROOM
 
 
-def stock_factors(position_m: np.ndarray, spin: np.ndarray) -> np.ndarray:
+def stock_factors(position_m: NDArray[np.float64], spin: NDArray[np.float64]) -> NDArray[np.float64]:
     """Factors (m, 4) of throttle, roll, pitch, yaw, scaled so that the largest of each attitude axis is 0.5."""
     x, y = position_m[:, 0], position_m[:, 1]
     factors = np.stack([np.ones_like(x), -y, x, spin], axis=1)
     return factors * np.array([1.0, 0.5 / np.abs(y).max(), 0.5 / np.abs(x).max(), 0.5])
 
 
-def normalised_effectiveness(position_m: np.ndarray, spin: np.ndarray) -> np.ndarray:
+def normalised_effectiveness(position_m: NDArray[np.float64], spin: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of thrust, roll, pitch, yaw (4, m), each over the sum of its positive entries.
 
     This is the unit of a matrix that comes over the link: 1 is all that the motors could give on that axis.
@@ -33,15 +34,18 @@ def normalised_effectiveness(position_m: np.ndarray, spin: np.ndarray) -> np.nda
 class Limits:
     """Which demands could not be met in the last step, (N,) each."""
 
-    roll_pitch: np.ndarray
-    yaw: np.ndarray
-    throttle_upper: np.ndarray
-    throttle_lower: np.ndarray
+    roll_pitch: NDArray[np.bool_]
+    yaw: NDArray[np.bool_]
+    throttle_upper: NDArray[np.bool_]
+    throttle_lower: NDArray[np.bool_]
 
 
 def mix(
-    factors: np.ndarray, demand: np.ndarray, throttle_mean_max: np.ndarray, dead: np.ndarray
-) -> tuple[np.ndarray, Limits]:
+    factors: NDArray[np.float64],
+    demand: NDArray[np.float64],
+    throttle_mean_max: NDArray[np.float64],
+    dead: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], Limits]:
     """Motor thrusts (N, m) in 0..1 for ``demand`` (N, 4) = throttle 0..1, roll, pitch, yaw -1..1.
 
     ``factors`` (N, m, 4); ``dead`` (N, m) marks motors that take no part in the limits (declared failed).
@@ -81,14 +85,16 @@ def mix(
     return np.clip(thrust, 0.0, 1.0), limits
 
 
-def thrust_to_output(thrust: np.ndarray, expo: float, spin_min: float, spin_max: float) -> np.ndarray:
+def thrust_to_output(thrust: NDArray[np.float64], expo: float, spin_min: float, spin_max: float) -> NDArray[np.float64]:
     """Actuator output 0..1 for a thrust 0..1: the inverse of the motor's curve, above the idle speed."""
     root = np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)
     ratio = thrust if expo == 0.0 else (root - (1.0 - expo)) / (2.0 * expo)
     return spin_min + (spin_max - spin_min) * ratio
 
 
-def reduced_factors(position_m: np.ndarray, spin: np.ndarray, failed: np.ndarray) -> np.ndarray | None:
+def reduced_factors(
+    position_m: NDArray[np.float64], spin: NDArray[np.float64], failed: NDArray[np.bool_]
+) -> NDArray[np.float64] | None:
     """Stock factors for the motors left, by pseudo-inverse, in the stock's units; None where they cannot balance.
 
     What the autopilot holds on its own after the link to the companion is lost with a confirmed declaration.

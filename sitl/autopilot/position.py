@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2
@@ -26,7 +27,7 @@ _HOVER_TIME_S = 10.0
 class PositionControl:
     """Desired attitude (N, 4) and throttle (N,) from a goal in NED; the path to it is shaped by acceleration."""
 
-    def __init__(self, vehicles: int, dt_s: float, hover_throttle: np.ndarray) -> None:
+    def __init__(self, vehicles: int, dt_s: float, hover_throttle: NDArray[np.float64]) -> None:
         self._dt = dt_s
         self.goal = np.zeros((vehicles, 3))
         self.goal_velocity = np.full((vehicles, 3), np.nan)  # finite: fly this velocity instead
@@ -45,7 +46,9 @@ class PositionControl:
         self._throttle_share = filter_share(_THROTTLE_HZ, dt_s)
         self._limited_xy = np.zeros((vehicles, 2), bool)
 
-    def reset(self, mask: np.ndarray, position: np.ndarray, velocity: np.ndarray, throttle: float) -> None:
+    def reset(
+        self, mask: NDArray[np.bool_], position: NDArray[np.float64], velocity: NDArray[np.float64], throttle: float
+    ) -> None:
         """Take the present position as path and goal for vehicles in ``mask`` (N,)."""
         if not mask.any():
             return
@@ -78,12 +81,12 @@ class PositionControl:
 
     def step(
         self,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        acceleration_up: np.ndarray,
-        quaternion: np.ndarray,
-        throttle_limited: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        position: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration_up: NDArray[np.float64],
+        quaternion: NDArray[np.float64],
+        throttle_limited: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """One cycle. ``acceleration_up`` (N,) without gravity; ``throttle_limited`` (N,) from the mixer."""
         self._shape_path()
         error = self.path - position
@@ -121,7 +124,7 @@ class PositionControl:
         return desired, self._throttle
 
 
-def _attitude_for(acceleration: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+def _attitude_for(acceleration: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
     """Attitude (N, 4) whose thrust gives the horizontal ``acceleration`` (N, 2) m/s^2 NED, heading ``yaw``."""
     up = np.stack([acceleration[:, 0], acceleration[:, 1], np.full(len(yaw), -GRAVITY_M_S2)], axis=1)
     up /= np.linalg.norm(up, axis=1)[:, None]

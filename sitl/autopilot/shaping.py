@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def square_root_controller(error: np.ndarray, gain: float, limit: float, dt_s: float) -> np.ndarray:
+def square_root_controller(error: NDArray[np.float64], gain: float, limit: float, dt_s: float) -> NDArray[np.float64]:
     """Rate for an error: linear near zero, then the speed from which ``limit`` still stops in time."""
     linear = limit / gain**2
     far = np.sqrt(np.maximum(2.0 * limit * (np.abs(error) - 0.5 * linear), 0.0))
@@ -17,7 +18,7 @@ def square_root_controller(error: np.ndarray, gain: float, limit: float, dt_s: f
     return np.clip(rate, -bound, bound)
 
 
-def limit_length(vector: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
+def limit_length(vector: NDArray[np.float64], limit: NDArray[np.float64] | float) -> NDArray[np.float64]:
     """Shorten the vectors (N, k) to at most ``limit``."""
     length = np.sqrt(np.einsum("nk,nk->n", vector, vector))
     scale = np.minimum(1.0, limit / np.maximum(length, 1e-9))
@@ -48,7 +49,7 @@ class Pid:
     """N x k loops in one object; the integrator does not grow while its output is limited."""
 
     def __init__(self, gains: list[Gains], vehicles: int, dt_s: float) -> None:
-        def row(name: str) -> np.ndarray:
+        def row(name: str) -> NDArray[np.float64]:
             return np.array([getattr(g, name) for g in gains], float)
 
         self.p, self.i, self.d, self.limit = row("p"), row("i"), row("d"), row("integral_limit")
@@ -60,12 +61,14 @@ class Pid:
         self.integral, self._target = np.zeros(shape), np.zeros(shape)
         self._error, self._derivative = np.zeros(shape), np.zeros(shape)
 
-    def reset(self, mask: np.ndarray) -> None:
+    def reset(self, mask: NDArray[np.bool_]) -> None:
         """Zero the state of the vehicles in ``mask`` (N,)."""
         for array in (self.integral, self._target, self._error, self._derivative):
             array[mask] = 0.0
 
-    def step(self, target: np.ndarray, measured: np.ndarray, limited: np.ndarray) -> np.ndarray:
+    def step(
+        self, target: NDArray[np.float64], measured: NDArray[np.float64], limited: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
         """Output (N, k); ``limited`` (N, k) is true where the actuator could not follow the last output."""
         self._target = self._target + self._target_share * (target - self._target)
         error = self._error + self._error_share * (self._target - measured - self._error)

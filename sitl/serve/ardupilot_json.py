@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.errors import EndpointError, FrameError
 from sitl.serve.physics import Physics, pace
@@ -49,11 +50,11 @@ def parse(data: bytes) -> Request:
     return Request(rate, count, struct.unpack_from(f"<{channels}H", data, _HEAD.size))
 
 
-def _array(values: np.ndarray) -> str:
+def _array(values: NDArray[np.float64]) -> str:
     return "[" + ", ".join(f"{float(v):.9g}" for v in values) + "]"
 
 
-def answer(physics: Physics, gyro: np.ndarray, force: np.ndarray) -> bytes:
+def answer(physics: Physics, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
     """The state as the interface wants it."""
     return (
         f'\n{{"timestamp":{physics.time_s:.9f},'

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import PlantParameters
@@ -60,7 +61,7 @@ class Physics:
         self.max_tilt_rad = 0.0
         self.output = np.zeros(nominal.motors)
 
-    def step(self, output: np.ndarray, interval_s: float) -> None:
+    def step(self, output: NDArray[np.float64], interval_s: float) -> None:
         """Advance by ``interval_s`` under motor outputs (m,) in 0..1; what is not a number stands still."""
         count = max(int(np.ceil(interval_s / _STEP_MAX_S - 1e-9)), 1)
         dt = interval_s / count
@@ -90,7 +91,7 @@ class Physics:
             if tilt > _CRASH_TILT_RAD:
                 state.crashed[0] = True
 
-    def inertial(self) -> tuple[np.ndarray, np.ndarray]:
+    def inertial(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Gyro rad/s and specific force m/s^2, (3,) each, with noise."""
         assert self._plant is not None
         noise = self._noise.next()[0]
@@ -98,16 +99,16 @@ class Physics:
         return gyro, self._plant.specific_force(self.state)[0] + _ACCELEROMETER_NOISE_M_S2 * noise[3:]
 
     @property
-    def position_m(self) -> np.ndarray:
+    def position_m(self) -> NDArray[np.float64]:
         """(3,) NED."""
         return np.asarray(self.state.position_m[0])
 
     @property
-    def velocity_m_s(self) -> np.ndarray:
+    def velocity_m_s(self) -> NDArray[np.float64]:
         """(3,) NED."""
         return np.asarray(self.state.velocity_m_s[0])
 
     @property
-    def quaternion(self) -> np.ndarray:
+    def quaternion(self) -> NDArray[np.float64]:
         """(4,) body to NED."""
         return np.asarray(self.state.quaternion[0])

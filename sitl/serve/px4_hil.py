@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.errors import EndpointError, FrameError
 from nff_companion.mavlink.codec import Codec, Message, dialect
@@ -44,7 +45,7 @@ def pressure_hpa(altitude_m: float) -> float:
     return float(_SEA_LEVEL_HPA * (1.0 - altitude_m / _SCALE_M) ** _EXPONENT)
 
 
-def outputs_of(message: Message, motors: int) -> np.ndarray:
+def outputs_of(message: Message, motors: int) -> NDArray[np.float64]:
     """(m,) motor outputs of HIL_ACTUATOR_CONTROLS; zeros when disarmed. Raises FrameError."""
     controls = np.array(message.controls[:motors], float)
     driven = controls[np.isfinite(controls)]

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation import METHODS, Allocator, allocator, authority, problem_for
 from nff_companion.core import vehicle as vehicle_model
@@ -15,7 +16,9 @@ from nff_companion.errors import AllocationInfeasible, SolverError
 _REPEATS = 5
 
 
-def _case(allocate: Allocator, nominal: np.ndarray, failed: tuple[int, ...], hover: float) -> np.ndarray | None:
+def _case(
+    allocate: Allocator, nominal: NDArray[np.float64], failed: tuple[int, ...], hover: float
+) -> NDArray[np.float64] | None:
     eta = np.ones(nominal.shape[1])
     eta[[m - 1 for m in failed]] = 0.0
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.fleet import Fleet
 
@@ -17,7 +18,7 @@ _GUST_AT_S, _GUST_S, _GUST_M_S = 112.0, 3.0, 5.0
 _PAYLOAD_AT_S, _PAYLOAD_SHARE = 128.0, 0.1
 
 
-def gusts(seeds: list[int]) -> np.ndarray:
+def gusts(seeds: list[int]) -> NDArray[np.float64]:
     """One gust for each vehicle, from a direction of its seed's own."""
     rows = []
     for vehicle, seed in enumerate(seeds):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
@@ -113,7 +114,7 @@ class TrialCompanion:
         return self.session.output
 
     @property
-    def attitude_desired(self) -> np.ndarray | None:
+    def attitude_desired(self) -> NDArray[np.float64] | None:
         """(3, 3) body to NED that the override's law wanted last; None when it does not close the loop."""
         desired = self.session.state.loop.memory.desired
         return None if desired is None else np.array(desired).T

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from applet_bench import INSTANCE, AppletBench, Kind, TunnelMessage
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots.ardupilot import factors as units
@@ -22,12 +25,12 @@ def bench(tmp_path: Path) -> AppletBench:
     return bench
 
 
-def rows(bench: AppletBench, mask: int) -> np.ndarray:
+def rows(bench: AppletBench, mask: int) -> NDArray[np.int16]:
     plans = tables.compute(bench.vehicle, allocator("trim"))
     return units.of_plans(bench.vehicle, plans)[mask]
 
 
-def near(bench: AppletBench, table: np.ndarray) -> bool:
+def near(bench: AppletBench, table: NDArray[np.int16]) -> bool:
     return bool(np.allclose(bench.factors, table / tunnel.FACTOR_SCALE, atol=1e-6))
 
 
@@ -161,7 +164,9 @@ def test_an_override_never_drives_a_motor_that_is_declared_failed(bench: AppletB
         (lambda b: b.send(TunnelMessage(Kind.STORED, {"failed": 1, "check": 1})), "format"),
     ],
 )
-def test_what_must_not_be_obeyed_is_counted_and_changes_nothing(bench: AppletBench, send, reason: str) -> None:
+def test_what_must_not_be_obeyed_is_counted_and_changes_nothing(
+    bench: AppletBench, send: Callable[[AppletBench], None], reason: str
+) -> None:
     before = bench.factors.copy()
     send(bench)
     bench.fly(0.1)
@@ -269,7 +274,7 @@ def test_a_second_failure_is_taken_after_more_messages_than_half_the_sequences(b
 
 
 def test_of_two_companions_that_disagree_the_first_is_obeyed_and_both_hear_of_whom(bench: AppletBench) -> None:
-    other = {"component": 192, "instance": 99, "channel": 1}
+    other: dict[str, Any] = {"component": 192, "instance": 99, "channel": 1}
     bench.declare(0b1)
     bench.fly(0.02)
     bench.told.clear()

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from flying import Flying, wait_for
@@ -26,7 +27,7 @@ STOCK_CRASHES = [*ADJACENT[::2], *SAME_SPIN_90[::2]]
 STOCK_FLIES = [list(pair) for pair in survey.failure_sets(8, pairs=True) if [*pair] not in ADJACENT + SAME_SPIN_90][::3]
 
 
-def fly(sets: list[list[int]]) -> list[dict]:
+def fly(sets: list[list[int]]) -> list[dict[str, Any]]:
     """Some of each kind; all of them: ``nff survey --personality ardupilot --singles``, ``--pairs``."""
     options = survey.SurveyOptions(
         personality="ardupilot", seeds=1, wind_m_s=3.0, thrust_to_weight=2.56, model_error=0.10
@@ -73,7 +74,7 @@ def config(folder: Path, port: int, rate_hz: float = 200.0) -> Path:
     return path
 
 
-def state(folder: Path) -> dict:
+def state(folder: Path) -> dict[str, Any]:
     try:
         return ask(str(folder / "s"), {"command": "status"})
     except EndpointError:
@@ -99,7 +100,9 @@ def test_the_daemon_finds_the_applet_names_the_motor_and_leaves_its_mask_behind(
         wait_for(lambda: fleet.time_s > killed + 2.0, "two seconds without a companion")
         assert not fleet.state.crashed[0]
         assert fleet.autopilot.output[0, 2] == 0.0, "the dead motor stays stopped"
-    texts = [text for _, _, text in flying.server.personality.texts]
+    personality = flying.server.personality
+    assert personality is not None
+    texts = [text for _, _, text in personality.texts]
     assert any(text.startswith("NFF: failed mask 4 at") for text in texts)
 
 
@@ -112,7 +115,9 @@ def test_the_doctor_finds_a_ready_vehicle_and_a_wrong_motor_order(tmp_path: Path
         fleet = make_fleet(DemoOptions(failures=[]))
         fleet.autopilot.disarm(0)
         flying = Flying(fleet, [f"udpout:127.0.0.1:{port}"], card=card)
-        flying.server.personality.parameters["SERVO3_FUNCTION"] = order
+        personality = flying.server.personality
+        assert personality is not None
+        personality.parameters["SERVO3_FUNCTION"] = order
         # A rate that a busy machine holds too: the doctor is on trial, not the machine.
         arguments = ["doctor", "--config", str(config(tmp_path, port, 100.0)), "--timeout", "12", "--json"]
         with flying:

@@ -6,9 +6,11 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
@@ -18,7 +20,7 @@ from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
 from nff_companion.autopilots.base import Permit
-from nff_companion.autopilots.schedule import Declare, Drive, Load, Release
+from nff_companion.autopilots.schedule import Command, Declare, Drive, Load, Release
 from nff_companion.condition import Condition, Mode, Reason, Source
 from nff_companion.core import vehicle
 from nff_companion.mavlink.codec import Codec, Message, dialect
@@ -275,7 +277,7 @@ def test_the_condition_costs_nothing_while_nothing_changes(
     calls: Counter[str] = Counter()
     original = checks.contradictions
 
-    def counted(*arguments) -> list[str]:
+    def counted(*arguments: Any) -> list[str]:
         calls["contradictions"] += 1
         return original(*arguments)
 
@@ -299,7 +301,7 @@ def test_commands_are_told_with_the_instance_their_time_and_a_sequence_of_their_
     ready: ArduPilotAdapter, plans: dict[int, Plan]
 ) -> None:
     failed = np.eye(8, dtype=bool)[0]
-    commands = [
+    commands: list[Command] = [
         Declare(10.0, failed, np.ones(8)),
         Load(10.1, plans[1], failed),
         Drive(10.2, np.r_[0.0, np.full(6, 0.5), 1.0]),
@@ -312,8 +314,10 @@ def test_commands_are_told_with_the_instance_their_time_and_a_sequence_of_their_
     assert len({m.values["sequence"] for m in messages}) == 4
     assert messages[0].values["failed"] == messages[1].values["failed"] == 1
     assert messages[1].values["timeout_ms"] == 1e3 * times.MATRIX_TIMEOUT_S
+    assert messages[1].factors is not None
     assert np.array_equal(messages[1].factors, factors.of_matrix(OCTO, plans[1].matrix))
     assert messages[2].values["timeout_ms"] == 1e3 * times.OVERRIDE_TIMEOUT_S
+    assert messages[2].pwm is not None
     assert messages[2].pwm.tolist() == [1000] + [1500] * 6 + [2000]
     assert messages[3].values["flags"] == 0
 
@@ -366,7 +370,7 @@ class OnTheWire:
         self._down, self._up = Codec(1, 191), Codec(1, 191)
 
     @property
-    def factors(self) -> np.ndarray:
+    def factors(self) -> NDArray[np.float64]:
         assert self.port.factors is not None
         return self.port.factors.copy()
 
@@ -534,7 +538,7 @@ def test_the_second_of_two_companions_says_that_there_is_another_and_takes_over_
 # -- whole companions -------------------------------------------------------------------------------------------------
 
 
-def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, np.ndarray, Counter[str]]:
+def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, NDArray[np.float64], Counter[str]]:
     """Eight seconds of an octo-x whose motor 3 fails at 6 s, with a companion that has the file of ``airframe_name``:
     the flight, the factors at its start, and what of the companion's is no publication."""
     plans = tables.compute(vehicle.load(airframe_name), allocator("trim"))
@@ -566,6 +570,7 @@ def test_a_companion_that_observes_believes_a_failure_and_commands_nothing(tmp_p
     assert personality is not None
     assert trial.companions[0].output.failed.any() or name != "octo-x"
     assert not COMMANDS & set(kinds)
+    assert personality.port.factors is not None
     assert np.array_equal(personality.port.factors, before)
     assert not trial.fleet.state.crashed[0]
 
@@ -576,6 +581,7 @@ def test_a_companion_with_another_airframe_file_changes_nothing_and_says_why(tmp
     personality = companion.autopilot.personality
     assert personality is not None
     assert not COMMANDS & set(kinds)
+    assert personality.port.factors is not None
     assert np.array_equal(personality.port.factors, before)
     assert companion.session.moment().verdict.reason == Reason.CARD_DIFFERS
     assert not trial.fleet.state.crashed[0]

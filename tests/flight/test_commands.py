@@ -73,12 +73,12 @@ class Desk:
         self.server.cycle()
         return self._heard
 
-    def long(self, command: int, *params: float) -> int:
+    def command_long(self, command: int, *params: float) -> int:
         """Result of COMMAND_LONG."""
         values = [*params, *[0.0] * (7 - len(params))]
         return self._result(dialect.MAVLink_command_long_message(1, 1, command, 0, *values))
 
-    def int(self, command: int, params: tuple[float, ...], x: int, y: int, z: float) -> int:
+    def command_int(self, command: int, params: tuple[float, ...], x: int, y: int, z: float) -> int:
         """Result of COMMAND_INT."""
         return self._result(dialect.MAVLink_command_int_message(1, 1, 6, command, 0, 0, *params, x, y, z))
 
@@ -133,7 +133,7 @@ def test_a_parameter_that_is_no_number_in_bounds_is_refused_and_changes_nothing(
 ) -> None:
     position = desk.fleet.autopilot.position
     before = position.goal.copy(), position.speed_xy.copy(), list(desk.fleet.faults.faults)
-    assert desk.long(command, *params(bad)) in (DENIED, UNSUPPORTED)
+    assert desk.command_long(command, *params(bad)) in (DENIED, UNSUPPORTED)
     assert desk.server.refused["COMMAND_LONG"] == 1
     assert np.array_equal(position.goal, before[0])
     assert np.array_equal(position.speed_xy, before[1])
@@ -147,16 +147,16 @@ def test_heights_and_headings_out_of_bounds_are_refused(desk: Desk, bad: float) 
     here = (-35.363262, 149.165237)
     goal = desk.fleet.autopilot.position.goal.copy()
     yaw = desk.fleet.autopilot.position.goal_yaw.copy()
-    assert desk.long(IDS.MAV_CMD_DO_REPOSITION, 0.0, 0.0, 0.0, NAN, *here, bad) == DENIED
-    assert desk.long(IDS.MAV_CMD_DO_REPOSITION, 0.0, 0.0, 0.0, bad, *here, 20.0) == DENIED
+    assert desk.command_long(IDS.MAV_CMD_DO_REPOSITION, 0.0, 0.0, 0.0, NAN, *here, bad) == DENIED
+    assert desk.command_long(IDS.MAV_CMD_DO_REPOSITION, 0.0, 0.0, 0.0, bad, *here, 20.0) == DENIED
     place = [round(1e7 * v) for v in here]
-    assert desk.int(IDS.MAV_CMD_DO_REPOSITION, (0.0, 0.0, 0.0, bad), *place, 20.0) == DENIED
-    assert desk.int(IDS.MAV_CMD_DO_REPOSITION, (0.0, 0.0, 0.0, NAN), 2**31 - 1, place[1], 20.0) == DENIED
+    assert desk.command_int(IDS.MAV_CMD_DO_REPOSITION, (0.0, 0.0, 0.0, bad), place[0], place[1], 20.0) == DENIED
+    assert desk.command_int(IDS.MAV_CMD_DO_REPOSITION, (0.0, 0.0, 0.0, NAN), 2**31 - 1, place[1], 20.0) == DENIED
     assert np.array_equal(desk.fleet.autopilot.position.goal, goal)
     assert np.array_equal(desk.fleet.autopilot.position.goal_yaw, yaw)
     ground = Desk(height_m=0.0)
-    assert ground.long(IDS.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == OK
-    assert ground.long(IDS.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, bad) == DENIED
+    assert ground.command_long(IDS.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == OK
+    assert ground.command_long(IDS.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, bad) == DENIED
     assert ground.fleet.autopilot.mode[0] == Mode.GROUND
     ground.server.close()
 
@@ -165,19 +165,19 @@ def test_what_mavlink_leaves_open_with_nan_is_kept(desk: Desk) -> None:
     """NaN for yaw and altitude means: as it is."""
     position = desk.fleet.autopilot.position
     yaw, height = float(position.goal_yaw[0]), float(position.goal[0, 2])
-    assert desk.long(IDS.MAV_CMD_DO_REPOSITION, 0, 0, 0, NAN, -35.3632, 149.165237, NAN) == OK
+    assert desk.command_long(IDS.MAV_CMD_DO_REPOSITION, 0, 0, 0, NAN, -35.3632, 149.165237, NAN) == OK
     assert position.goal[0, 0] == pytest.approx(6.9, abs=0.5)
     assert position.goal[0, 2] == height
     assert position.goal_yaw[0] == yaw
-    assert desk.long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, -1.0) == OK, "no change"
+    assert desk.command_long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, -1.0) == OK, "no change"
     assert position.speed_xy[0] == 5.0
-    assert desk.long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, 3.0) == OK
+    assert desk.command_long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, 3.0) == OK
     assert position.speed_xy[0] == 3.0
     assert not desk.server.refused
 
 
 def test_arming_a_vehicle_that_flies_changes_nothing(desk: Desk) -> None:
-    assert desk.long(IDS.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == OK
+    assert desk.command_long(IDS.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == OK
     assert desk.fleet.autopilot.mode[0] == Mode.GUIDED
 
 
@@ -283,7 +283,7 @@ def test_every_command_with_every_number_in_every_place(desk: Desk) -> None:
             continue  # it does fail a motor
         values = [*params, *[0.0] * (7 - len(params))]
         values[place] = value
-        result = desk.long(command, *values)
+        result = desk.command_long(command, *values)
         assert result in (OK, DENIED, UNSUPPORTED), (command, place, value)
         desk.check_finite((command, place, value))
         desk.fleet.autopilot.position.goal[0] = [0.0, 0.0, -10.0]

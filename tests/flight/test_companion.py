@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from stepping import OBEDIENT, Stepped, text_of
 
 from nff_companion import companion as companion_module
+from nff_companion.allocation import allocator
+from nff_companion.allocation.problem import Problem
 from nff_companion.companion_state import Orders, Output
 from nff_companion.condition import Condition, Mode, Reason, Statement
 from nff_companion.core import vehicle
@@ -31,7 +36,7 @@ def flight(
     wind: float = 3.0,
     seed: int = 1,
     error: float = 0.05,
-    alter=None,
+    alter: Callable[[Sample], Sample] | None = None,
 ) -> VirtualFlight:
     nominal = plant_airframe.load(vehicle.path_of(name))
     options = FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=wind, turbulence_m_s=0.25 * wind, model_error=error)
@@ -90,7 +95,7 @@ def test_a_healthy_hover_sends_nothing(recorded: list[Sample]) -> None:
         ({"time_s": 1e6}, "time jumped by +"),
     ],
 )
-def test_bad_input_degrades_to_observe_with_a_reason(recorded: list[Sample], change: dict, word: str) -> None:
+def test_bad_input_degrades_to_observe_with_a_reason(recorded: list[Sample], change: dict[str, Any], word: str) -> None:
     companion, _ = run(recorded[:800])
     output = companion.step(dataclasses.replace(recorded[800], **change))
     assert output.mode == Mode.OBSERVE
@@ -270,9 +275,10 @@ def test_a_blocked_autopilot_gets_nothing_and_the_reason_is_shown(recorded: list
 
 
 def test_a_refused_plan_is_tried_again(recorded: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
-    solve, calls = companion_module.allocator("trim"), []
+    solve = allocator("trim")
+    calls: list[Problem] = []
 
-    def flaky(problem):
+    def flaky(problem: Problem) -> NDArray[np.float64]:
         calls.append(problem)
         if 1 < len(calls) <= 3:  # the first is that of the healthy vehicle
             raise SolverError("out of luck")
@@ -299,7 +305,9 @@ def test_a_refused_plan_is_tried_again(recorded: list[Sample], monkeypatch: pyte
     ],
     ids=["huge-velocity", "nan-velocity", "huge-attitude", "no-attitude", "infinite-attitude"],
 )
-def test_a_garbage_state_reaches_neither_the_network_nor_a_motor(recorded: list[Sample], garbage: dict) -> None:
+def test_a_garbage_state_reaches_neither_the_network_nor_a_motor(
+    recorded: list[Sample], garbage: dict[str, Any]
+) -> None:
     companion, _ = run(recorded[:900], Mode.OVERRIDE)
     assert companion.companion.network is not None
     with np.errstate(all="raise"):

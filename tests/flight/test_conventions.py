@@ -22,8 +22,8 @@ from nff_companion.daemon.configuration import load
 from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.service import Daemon
 from nff_companion.errors import ConfigError, EndpointError
-from nff_companion.mavlink.codec import Codec, dialect
-from nff_companion.mavlink.endpoint import parse
+from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.mavlink.endpoints.serial_port import SerialPort
 from nff_companion.mavlink.hub import Hub
 from nff_companion.mavlink.services import host_status as host
 from nff_companion.mavlink.services.parameter_reader import ParameterReader, encode, name_of
@@ -31,6 +31,7 @@ from nff_companion.mavlink.services.parameter_server import Parameter, Parameter
 from nff_companion.mavlink.services.pilot_text import PilotText
 from nff_companion.mavlink.services.streams import Stream, StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
+from nff_companion.mavlink.urls import parse
 from nff_companion.settings import settings
 from sitl.trials.process import config_text, free_port
 
@@ -47,14 +48,21 @@ class Clock:
         return self.now
 
 
-def until(poll: select.poll, hub: Hub, now: float, wanted: int = 1) -> list:
+def until(poll: select.poll, hub: Hub, now: float, wanted: int = 1) -> list[Message]:
     """Messages that arrive at a hub within a second of real time."""
-    out: list = []
+    out: list[Message] = []
     deadline = time.monotonic() + 1.0
     while len(out) < wanted and time.monotonic() < deadline:
         for descriptor, _ in poll.poll(20):
             out += hub.read(descriptor, now)
     return out
+
+
+def baudrate(hub: Hub) -> int:
+    endpoint = hub._ports[0].endpoint
+    assert isinstance(endpoint, SerialPort)
+    assert endpoint._port is not None
+    return int(endpoint._port.baudrate)
 
 
 # -- endpoints --------------------------------------------------------------------------------------------------------
@@ -138,17 +146,16 @@ def test_a_serial_port_tries_the_next_baud_while_nothing_readable_comes() -> Non
     assert parse(f"{name}:921600,57600").bauds == (921600, 57600)
     poll = select.poll()
     hub = Hub([f"{name}:921600,57600"], 1, 191, poll, 0.0)
-    port = hub._ports[0]
-    assert port.endpoint._port.baudrate == 921600
+    assert baudrate(hub) == 921600
     os.write(master, b"\x81\x92garbage\xff" * 4)
     until(poll, hub, 0.5)
     hub.maintain(2.5)
     hub.maintain(2.6)
-    assert port.endpoint._port.baudrate == 57600
+    assert baudrate(hub) == 57600
     os.write(master, Codec(1, 1).pack(HEARTBEAT))
     assert len(until(poll, hub, 3.0)) == 1
     hub.maintain(60.0)  # readable: it stays
-    assert port.endpoint._port.baudrate == 57600
+    assert baudrate(hub) == 57600
     hub.send(HEARTBEAT, None, 60.0)
     assert os.read(master, 300)[0] == 0xFD
     hub.close()
@@ -285,12 +292,12 @@ def server(chosen: Settings) -> ParameterServer:
     return chosen.server
 
 
-def ask(server: ParameterServer, message) -> list:
+def ask(server: ParameterServer, message: Message) -> list[Message]:
     (received,) = Codec(1, 191).parse(Codec(255, 190).pack(message))
     return server.answer(received)
 
 
-def put(server: ParameterServer, name: str, value: float, component: int = 191) -> list:
+def put(server: ParameterServer, name: str, value: float, component: int = 191) -> list[Message]:
     return ask(server, dialect.MAVLink_param_set_message(1, component, name.encode(), value, 9))
 
 
@@ -386,12 +393,12 @@ class Listening:
         self.socket.settimeout(0.05)
         self.codec = Codec(3, 1)
 
-    def say(self, message) -> None:
+    def say(self, message: Message) -> None:
         self.socket.send(self.codec.pack(message))
 
-    def hear(self, seconds: float) -> list:
+    def hear(self, seconds: float) -> list[Message]:
         """Messages while the daemon's clock runs on by ``seconds``."""
-        out: list = []
+        out: list[Message] = []
         end = self.clock.now + seconds
         while self.clock.now < end:
             self.clock.now += 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
 from nff_companion.core import basis_network, vehicle
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import AdaptationTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
@@ -173,8 +175,9 @@ def test_the_adapted_matrix_learns_a_lost_motor_and_begins_anew(octo: Vehicle) -
     adapted = AdaptedMatrix(octo)
     state, nominal = adapted.allocation(adapted.start(), np.zeros((8, 4)))
     lost = -0.5 * octo.acceleration_effectiveness[:, 2] * octo.hover
+    estimate = cast("Estimate", SimpleNamespace(thrust_shown=np.full(8, octo.hover), raw=lost))  # all that it reads
     for _ in range(200):
-        state = adapted.step(state, SimpleNamespace(thrust_shown=np.full(8, octo.hover), raw=lost), 0.005)
+        state = adapted.step(state, estimate, 0.005)
     _, learnt = adapted.allocation(state, nominal)
     assert not np.allclose(learnt, nominal)
     np.testing.assert_allclose(adapted.allocation(adapted.start(), np.zeros((8, 4)))[1], nominal)
@@ -183,6 +186,6 @@ def test_the_adapted_matrix_learns_a_lost_motor_and_begins_anew(octo: Vehicle) -
 @pytest.mark.parametrize(
     "wrong", [{"follow_s": 0.0}, {"follow_s": -1.0}, {"forget_per_s": 1000.0}, {"composite": -1.0}]
 )
-def test_an_adaptation_that_would_run_away_is_refused(wrong: dict) -> None:
+def test_an_adaptation_that_would_run_away_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert(wrong, AdaptationTuning)

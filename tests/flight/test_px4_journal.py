@@ -5,14 +5,15 @@ from __future__ import annotations
 import errno
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fake_px4 import FakePx4, in_flight, octo, on_ground, talk, tell, without
 
 from nff_companion.autopilots.base import Finding, Permit
-from nff_companion.autopilots.px4 import remedy_book
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.condition import Reason
@@ -31,10 +32,7 @@ def no_space(*arguments: object, **options: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.fixture(autouse=True)
-def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is computed ahead takes time and changes nothing here."""
-    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
+pytestmark = pytest.mark.usefixtures("nothing_ahead")
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
@@ -88,7 +86,7 @@ def test_a_symlink_is_not_read_through(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["journal", "journal.new"])
 @pytest.mark.parametrize("make", [os.mkdir, os.mkfifo], ids=["folder", "fifo"])
-def test_what_is_no_regular_file_is_refused_by_name(make, name: str, tmp_path: Path) -> None:
+def test_what_is_no_regular_file_is_refused_by_name(make: Callable[[Path], None], name: str, tmp_path: Path) -> None:
     make(tmp_path / name)
     journal = Journal(tmp_path / "journal")
     with pytest.raises(JournalError, match=f"{name} is not a regular file"):
@@ -375,8 +373,8 @@ def _fly_until_killed(folder: Path, model: Vehicle, px4: FakePx4, kill_at: int) 
         if steps == kill_at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def hooked(function):
-        def call(*arguments, **options):
+    def hooked(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
             step()
             result = function(*arguments, **options)
             step()

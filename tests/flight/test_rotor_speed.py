@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
 from nff_companion.core import vehicle
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.core.sample import Sample
-from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.session import Session
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
@@ -22,7 +24,9 @@ FAIL_S = 4.0
 STOPPED_SHARE = 0.35
 
 
-def flight(failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, end_s: float = FAIL_S + 1.5):
+def flight(
+    failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, end_s: float = FAIL_S + 1.5
+) -> tuple[dict[int, float], dict[int, float], Session]:
     """Declared motors and when; when the telemetry first showed each stopped."""
     fleet = Fleet(
         airframe.load(vehicle.path_of("octo-x")),
@@ -152,25 +156,30 @@ def test_telemetry_of_both_autopilots_reaches_the_sample() -> None:
     decoder = TelemetryDecoder(octo)
     sender, receiver = Codec(1, 1), Codec(1, 191)
 
-    def imu(usec: int):
+    def imu(usec: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotor speeds, and when they were read."""
         message = dialect.MAVLink_highres_imu_message(usec, *[0.0] * 13, 0x3F)
         (received,) = receiver.parse(sender.pack(message))
-        return decoder.observe(received)
+        sample = decoder.observe(received)
+        assert sample is not None
+        assert sample.rotor_speed_rad_s is not None
+        assert sample.rotor_speed_time_s is not None
+        return sample.rotor_speed_rad_s, sample.rotor_speed_time_s
 
-    def say(message) -> None:
+    def say(message: Message) -> None:
         for received in receiver.parse(sender.pack(message)):
             decoder.observe(received)
 
     imu(1_000_000)
     say(dialect.MAVLink_esc_telemetry_1_to_4_message([0] * 4, [0] * 4, [0] * 4, [0] * 4, [60, 120, 0, 6000], [1] * 4))
-    sample = imu(1_005_000)
-    assert sample.rotor_speed_rad_s[:4] == pytest.approx(np.array([60, 120, 0, 6000]) * 2 * np.pi / 60)
-    assert np.isnan(sample.rotor_speed_rad_s[4:]).all()
+    speed, read_s = imu(1_005_000)
+    assert speed[:4] == pytest.approx(np.array([60, 120, 0, 6000]) * 2 * np.pi / 60)
+    assert np.isnan(speed[4:]).all()
     say(dialect.MAVLink_esc_telemetry_1_to_4_message([0] * 4, [0] * 4, [0] * 4, [0] * 4, [0] * 4, [1] * 4))
-    sample = imu(1_010_000)  # the count stands: the ESC has said nothing new
-    assert sample.rotor_speed_rad_s[3] == pytest.approx(6000 * 2 * np.pi / 60)
-    assert sample.rotor_speed_time_s[3] == pytest.approx(1.0)
+    speed, read_s = imu(1_010_000)  # the count stands: the ESC has said nothing new
+    assert speed[3] == pytest.approx(6000 * 2 * np.pi / 60)
+    assert read_s[3] == pytest.approx(1.0)
     say(dialect.MAVLink_esc_status_message(4, 1_011_000, [-600, 600, 1200, 0], [0.0] * 4, [0.0] * 4))
-    sample = imu(1_015_000)
-    assert sample.rotor_speed_rad_s[4:] == pytest.approx(np.array([600, 600, 1200, 0]) * 2 * np.pi / 60)
-    assert sample.rotor_speed_time_s[4] == pytest.approx(1.011)
+    speed, read_s = imu(1_015_000)
+    assert speed[4:] == pytest.approx(np.array([600, 600, 1200, 0]) * 2 * np.pi / 60)
+    assert read_s[4] == pytest.approx(1.011)

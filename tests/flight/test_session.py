@@ -27,7 +27,8 @@ PUBLISHED = {"HEARTBEAT", "STATUSTEXT", "NFF_EFFECTIVENESS", "NFF_COMPANION_STAT
 
 def test_in_observe_nothing_but_requests_and_publications_leaves_over_a_whole_flight() -> None:
     trial = flight([Fault(vehicle=0, motor=3, start_s=4.0)], mode=Mode.OBSERVE)
-    codec, kinds = Codec(1, 1), Counter()
+    codec = Codec(1, 1)
+    kinds: Counter[str] = Counter()
     while trial.fleet.time_s < 7.0:
         trial.step()
         for _, data in trial.companions[0].up.queue:
@@ -60,7 +61,7 @@ def test_an_ardupilot_observed_gets_requests_and_heartbeats_alone(tmp_path: Path
 
 def test_a_check_before_the_flight_only_asks() -> None:
     session, now = bare_session(act=False), 0.0
-    kinds = Counter()
+    kinds: Counter[str] = Counter()
     for k in range(400):
         now = 0.01 * k
         if k % 100 == 0:

@@ -228,7 +228,8 @@ def test_a_check_names_a_rate_that_the_daemon_would_refuse() -> None:
 
 
 def test_streams_that_this_autopilot_lacked_are_asked_for_again_after_it_was_gone() -> None:
-    session, asked = bare_session(), Counter()
+    session = bare_session()
+    asked: Counter[int] = Counter()
     optional = dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 
     def hear(start: float, seconds: float) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ STOCK = vehicle.path_of("arducopter-octa-x")
 STOCK_SURVIVES = {(1, 2), (3, 6), (4, 5), (7, 8), (1, 4), (1, 6), (2, 3), (2, 5), (3, 7), (4, 7), (5, 8), (6, 8)}
 
 
-def make(path=OCTO, *, vehicles: int = 1, faults: list[Fault] | None = None, **options) -> Fleet:
+def make(path: Path = OCTO, *, vehicles: int = 1, faults: list[Fault] | None = None, **options: Any) -> Fleet:
     seeds = options.pop("seeds", list(range(1, vehicles + 1)))
     return Fleet(airframe.load(path, vehicles=vehicles), FleetOptions(seeds=seeds, **options), faults)
 
@@ -35,7 +37,7 @@ def run(fleet: Fleet, seconds: float) -> None:
 
 
 def test_a_thousand_vehicles_step_in_one_call_as_one_does_alone() -> None:
-    options = {"height_m": 10.0, "wind_m_s": 4.0, "turbulence_m_s": 1.0, "model_error": 0.1}
+    options: dict[str, Any] = {"height_m": 10.0, "wind_m_s": 4.0, "turbulence_m_s": 1.0, "model_error": 0.1}
     many = make(vehicles=1000, **options)
     alone = make(vehicles=1, seeds=[517], **options)
     for _ in range(40):
@@ -123,12 +125,12 @@ class TestCompanionPort:
     """Dead-man and refusals on the autopilot's side."""
 
     @staticmethod
-    def matrix(port: CompanionPort, **change) -> str | None:
+    def matrix(port: CompanionPort, **change: Any) -> str | None:
         arguments = {"sequence": 1, "sample_s": 10.0, "timeout_s": 0.5, "now_s": 10.01, **change}
         return port.receive_matrix(arguments.pop("value", np.ones((8, 4))), **arguments)
 
     @staticmethod
-    def outputs(port: CompanionPort, **change) -> str | None:
+    def outputs(port: CompanionPort, **change: Any) -> str | None:
         arguments = {"sequence": 1, "sample_s": 10.0, "timeout_s": 0.05, "now_s": 10.01, "armed": True, **change}
         return port.receive_override(arguments.pop("value", np.full(8, 0.5)), **arguments)
 
@@ -152,7 +154,7 @@ class TestCompanionPort:
             ({"sample_s": 11.0}, "stale"),
         ],
     )
-    def test_bad_matrices_are_refused_and_counted(self, change: dict, reason: str) -> None:
+    def test_bad_matrices_are_refused_and_counted(self, change: dict[str, Any], reason: str) -> None:
         port = CompanionPort(8)
         assert self.matrix(port, **change) == reason
         assert port.refused[reason] == 1
@@ -171,7 +173,7 @@ class TestCompanionPort:
             ({"armed": False}, "disarmed"),
         ],
     )
-    def test_bad_outputs_are_refused_and_counted(self, change: dict, reason: str) -> None:
+    def test_bad_outputs_are_refused_and_counted(self, change: dict[str, Any], reason: str) -> None:
         port = CompanionPort(8)
         assert self.outputs(port, **change) == reason
         assert port.refused[reason] == 1

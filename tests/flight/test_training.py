@@ -137,7 +137,8 @@ def test_functions_that_hardly_move_are_left_out() -> None:
 
 
 def test_a_slow_log_is_scored_at_its_own_rate(octo: Vehicle) -> None:
-    whole = Condition("25 Hz", *(getattr(flights(1).conditions[0], n) for n in ("features", "residual")), 25.0)
+    first = flights(1).conditions[0]
+    whole = Condition("25 Hz", first.features, first.residual, 25.0)
     assert Dataset([whole]).minutes == pytest.approx(600 / 25 / 60)
     trainer = Trainer(flights(), OPTIONS, "cpu")
     result = score(octo, trainer.basis({}), Dataset([whole]))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.companion import Companion
 from nff_companion.companion_state import Orders, Output
@@ -115,11 +116,11 @@ def record(flight: Flight) -> list[Sample]:
     return samples
 
 
-def _rounded(value: np.ndarray | None) -> np.ndarray | None:
+def _rounded(value: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
     return None if value is None else np.asarray(value, np.float32).astype(float)
 
 
-def pack(flight: Flight, samples: list[Sample]) -> dict[str, np.ndarray]:
+def pack(flight: Flight, samples: list[Sample]) -> dict[str, NDArray[np.float64]]:
     """Arrays of the samples that the replay is to see."""
     time_s = np.array([s.time_s for s in samples])
     columns = {name: np.array([getattr(s, name) for s in samples]) for name in VECTORS}
@@ -133,13 +134,15 @@ def pack(flight: Flight, samples: list[Sample]) -> dict[str, np.ndarray]:
     return {"time_s": time_s[keep], **{name: value[keep].astype(np.float32) for name, value in columns.items()}}
 
 
-def _interpolated(grid: np.ndarray, time_s: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _interpolated(
+    grid: NDArray[np.float64], time_s: NDArray[np.float64], value: NDArray[np.float64]
+) -> NDArray[np.float64]:
     flat = value.reshape(len(value), -1)
     out = np.column_stack([np.interp(grid, time_s, column) for column in flat.T])
     return out.reshape(len(grid), *value.shape[1:])
 
 
-def unpack(inputs: dict[str, np.ndarray]) -> list[Sample]:
+def unpack(inputs: dict[str, NDArray[np.float64]]) -> list[Sample]:
     """The samples again."""
     rows = {name: inputs[name].astype(float) for name in (*VECTORS, "target_yaw_rad")}
     return [
@@ -153,14 +156,14 @@ def unpack(inputs: dict[str, np.ndarray]) -> list[Sample]:
     ]
 
 
-def replay(flight: Flight, samples: list[Sample]) -> tuple[list[np.ndarray], list[list[float]]]:
+def replay(flight: Flight, samples: list[Sample]) -> tuple[list[NDArray[np.float64]], list[list[float]]]:
     """One row of outputs a sample, and the events (time, motor, declared, effectiveness, confidence)."""
     model = vehicle_model.load(flight.airframe)
     companion = Companion(model, flight.replayed_hz, network=basis_network.for_vehicle(model, "airframe"))
     state, condition = companion.start(Mode[flight.mode.upper()]), Condition(takes_matrix=True)
     if flight.restart_at_s:
         state, _ = companion.step(state, None, condition, Orders(adopt=tuple(motor for motor, _ in flight.faults)))
-    rows: list[np.ndarray] = []
+    rows: list[NDArray[np.float64]] = []
     events: list[list[float]] = []
     before = None
     for sample in samples:
@@ -175,7 +178,7 @@ def replay(flight: Flight, samples: list[Sample]) -> tuple[list[np.ndarray], lis
     return rows, events
 
 
-def row_of(output: Output, motors: int, axes: int) -> np.ndarray:
+def row_of(output: Output, motors: int, axes: int) -> NDArray[np.float64]:
     """Everything that matters of one output; NaN: there was none."""
     estimate = output.estimate
     nothing = np.full(axes, np.nan)
@@ -195,12 +198,12 @@ def row_of(output: Output, motors: int, axes: int) -> np.ndarray:
     )
 
 
-def digest(rows: list[np.ndarray]) -> str:
+def digest(rows: list[NDArray[np.float64]]) -> str:
     """Of every bit of every row."""
     return hashlib.sha256(np.array(rows).tobytes()).hexdigest()
 
 
-def load(name: str) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, Any]]:
+def load(name: str) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64], dict[str, Any]]:
     """Inputs, kept rows, and what else was noted."""
     with np.load(FOLDER / f"{name}.npz", allow_pickle=False) as file:
         arrays = {key: file[key] for key in file.files}
@@ -208,7 +211,7 @@ def load(name: str) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, Any]]:
     return arrays, arrays.pop("rows"), noted
 
 
-def write(name: str, inputs: dict[str, np.ndarray]) -> None:
+def write(name: str, inputs: dict[str, NDArray[np.float64]]) -> None:
     """Replay ``inputs`` and keep what comes out."""
     rows, events = replay(FLIGHTS[name], unpack(inputs))
     noted = json.dumps({"machine": machine(), "digest": digest(rows), "events": events})

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from nff_companion.daemon.configuration import load
 from nff_companion.daemon.status_server import ask
 from nff_companion.errors import ConfigError, EndpointError
 from nff_companion.mavlink.codec import Codec, dialect
-from nff_companion.mavlink.endpoint import parse
+from nff_companion.mavlink.urls import parse
 from sitl import rotation
 from sitl.fleet import Fleet
 from sitl.trials.demo import DemoOptions, Recorder, make_fleet
@@ -39,7 +40,7 @@ def write_config(folder: Path, port: int, mode: str = "allocate", airframe: str 
     return path
 
 
-def state(folder: Path) -> dict:
+def state(folder: Path) -> dict[str, Any]:
     try:
         return ask(str(folder / "s"), {"command": "status"})
     except EndpointError:

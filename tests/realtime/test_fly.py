@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from nff_companion.cli.main import app
 from nff_companion.core import vehicle
 from nff_companion.errors import ConfigError
+from nff_companion.mavlink.codec import Message
 from sitl.fleet import Fleet
 from sitl.trials.demo import DemoOptions, make_fleet
 from sitl.trials.fly import arducopter, campaign, flight, px4
@@ -208,7 +209,8 @@ class ThroughRange:
     """The pilot of the range that flies now."""
 
     def __init__(self, trials: list[Range]) -> None:
-        self._trials, self.hooks = trials, []
+        self._trials = trials
+        self.hooks: list[Callable[[Message], None]] = []
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._trials[-1].pilot, name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.ardupilot import tunnel
 from nff_companion.autopilots.ardupilot.install import install
@@ -44,12 +45,12 @@ class AppletBench:
         return next(m.values for m in reversed(self.heard) if m.kind == Kind.APPLIED)
 
     @property
-    def factors(self) -> np.ndarray:
+    def factors(self) -> NDArray[np.float64]:
         assert self.autopilot.port.factors is not None
         return self.autopilot.port.factors
 
     @property
-    def pwm(self) -> np.ndarray:
+    def pwm(self) -> NDArray[np.float64]:
         return self.autopilot.port.pwm_at(self.fleet.time_s)
 
     def send(
@@ -94,20 +95,22 @@ class AppletBench:
         fields = {"sample_ms": self.now_ms - age_ms, "failed": mask, **(values or {})}
         self.send(TunnelMessage(Kind.DECLARATION, fields), **sender)
 
-    def table(self, mask: int, factors: np.ndarray) -> None:
+    def table(self, mask: int, factors: NDArray[np.int16]) -> None:
         self.send(TunnelMessage(Kind.TABLE, {"failed": mask}, factors))
 
     def release(self, *, leaving: bool = False, **sender: int) -> None:
         flags = tunnel.LEAVING if leaving else 0
         self.send(TunnelMessage(Kind.RELEASE, {"sample_ms": self.now_ms - 5, "flags": flags}), **sender)
 
-    def matrix(self, mask: int, factors: np.ndarray, *, timeout_ms: int = 500, age_ms: int = 5, **extra: int) -> None:
+    def matrix(
+        self, mask: int, factors: NDArray[np.int16], *, timeout_ms: int = 500, age_ms: int = 5, **extra: int
+    ) -> None:
         values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, "failed": mask, "flags": 0, **extra}
         self.send(TunnelMessage(Kind.MATRIX, values, factors))
 
-    def override(self, pwm: np.ndarray, *, timeout_ms: int = 50, age_ms: int = 5, **extra: int) -> None:
+    def override(self, pwm: NDArray[np.int_], *, timeout_ms: int = 50, age_ms: int = 5, **extra: int) -> None:
         values = {"sample_ms": self.now_ms - age_ms, "timeout_ms": timeout_ms, **extra}
-        self.send(TunnelMessage(Kind.OVERRIDE, values, pwm=pwm))
+        self.send(TunnelMessage(Kind.OVERRIDE, values, pwm=pwm.astype(np.uint16)))
 
 
 __all__ = ["AppletBench", "Kind", "TunnelMessage", "dialect"]

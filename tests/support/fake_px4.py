@@ -6,14 +6,15 @@ It takes a burst of parameters in parts up to a second apart, and drops and dela
 from __future__ import annotations
 
 import mmap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.base import Permit
-from nff_companion.autopilots.px4.adapter import Px4Adapter
+from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
 from nff_companion.autopilots.schedule import Declare
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.vehicle import Vehicle
@@ -37,7 +38,13 @@ class Link:
 
 
 class FakePx4:
-    def __init__(self, vehicle: Vehicle, version: int = V1_16, link: Link | None = None, **changes: float) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        version: int = V1_16,
+        link: Link | None = None,
+        changes: Mapping[str, float] | None = None,
+    ) -> None:
         values: dict[str, float] = {"CA_ROTOR_COUNT": vehicle.motors, "CA_METHOD": 2, "MC_AIRMODE": 0}
         for i in range(vehicle.motors):
             x, y = vehicle.position_m[i]
@@ -46,12 +53,12 @@ class FakePx4:
             values |= {f"CA_ROTOR{i}_CT": 6.5, f"CA_ROTOR{i}_KM": 0.05 * vehicle.spin[i]}
             values[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
         values["THR_MDL_FAC"] = 0.65
-        values |= changes
+        values |= changes or {}
         self.names = list(values)
         self.kinds = {n: _INT if n in ("CA_ROTOR_COUNT", "CA_METHOD") or "FUNC" in n else _REAL for n in values}
         self._memory = mmap.mmap(-1, 8 * len(values))  # shared with children that are killed
         self.stored = np.frombuffer(self._memory, float)
-        self.stored[:] = np.float32(list(values.values()))
+        self.stored[:] = np.array(list(values.values()), np.float32)
         self.version, self.link = version, Link() if link is None else link
         self.armed = False
         self.deaf = False
@@ -183,19 +190,19 @@ def octo(ratio: float = 2.56) -> Vehicle:
     return vehicle_model.load("px4-octo-x", thrust_to_weight=ratio)
 
 
-def without(model: Vehicle, motors: Sequence[int]) -> np.ndarray:
+def without(model: Vehicle, motors: Sequence[int]) -> NDArray[np.float64]:
     """(m,) effectiveness with these motors (from 1) dead."""
     eta = np.ones(model.motors)
     eta[[motor - 1 for motor in motors]] = 0.0
     return eta
 
 
-def declare(eta: np.ndarray, time_s: float = 10.0) -> Declare:
+def declare(eta: NDArray[np.float64], time_s: float = 10.0) -> Declare:
     """Declaration of motor effectiveness (m,)."""
     return Declare(time_s, eta == 0.0, eta)
 
 
-def tell(adapter: Px4Adapter, px4: FakePx4, eta: np.ndarray, now_s: float) -> list[Message]:
+def tell(adapter: Px4Adapter, px4: FakePx4, eta: NDArray[np.float64], now_s: float) -> list[Message]:
     """Encode a declaration at ``now_s`` and hand it over; what was sent."""
     adapter.condition(now_s)
     messages = adapter.encode(declare(eta, now_s))
@@ -204,14 +211,14 @@ def tell(adapter: Px4Adapter, px4: FakePx4, eta: np.ndarray, now_s: float) -> li
     return messages
 
 
-def on_ground(folder: Path, px4: FakePx4, model: Vehicle, method: str = "scale") -> tuple[Px4Adapter, float]:
+def on_ground(folder: Path, px4: FakePx4, model: Vehicle, method: Method = "scale") -> tuple[Px4Adapter, float]:
     """An adapter that has read everything before arming."""
     adapter = Px4Adapter(model, (1, 1), folder / "journal", method)
     px4.armed = False
     return adapter, talk(adapter, px4, 0.0, 4.0)
 
 
-def in_flight(folder: Path, px4: FakePx4, model: Vehicle, method: str = "scale") -> tuple[Px4Adapter, float]:
+def in_flight(folder: Path, px4: FakePx4, model: Vehicle, method: Method = "scale") -> tuple[Px4Adapter, float]:
     """And that was there when the vehicle armed."""
     adapter, now = on_ground(folder, px4, model, method)
     px4.armed = True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from sitl.fleet import Fleet
 from sitl.server import Server
@@ -13,7 +14,7 @@ from sitl.server import Server
 class Flying:
     """Runs a server until left; ``wait_for`` polls a condition on the fleet."""
 
-    def __init__(self, fleet: Fleet, urls: list[str], **options) -> None:
+    def __init__(self, fleet: Fleet, urls: list[str], **options: Any) -> None:
         self.fleet = fleet
         self.server = Server(fleet, urls, **options)
         self._stop = threading.Event()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.twins import Rank, custom_mode
@@ -18,7 +19,7 @@ from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
 
 
-def flight(faults: list[Fault], *, mode: Mode = Mode.ALLOCATE, **options) -> VirtualFlight:
+def flight(faults: list[Fault], *, mode: Mode = Mode.ALLOCATE, **options: Any) -> VirtualFlight:
     fleet = Fleet(
         plant_airframe.load(vehicle.path_of("octo-x"), thrust_to_weight=options.get("thrust_to_weight")),
         FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, turbulence_m_s=0.5, model_error=0.05),
@@ -44,7 +45,9 @@ def reason(companion: TrialCompanion) -> Reason:
     return companion.session.moment().verdict.reason
 
 
-def autopilot_heartbeat(system: int = 1, autopilot: int = 3, armed: bool = False, kind: int = 14, component: int = 1):
+def autopilot_heartbeat(
+    system: int = 1, autopilot: int = 3, armed: bool = False, kind: int = 14, component: int = 1
+) -> Message:
     mode = 1 | (128 if armed else 0)
     message = dialect.MAVLink_heartbeat_message(kind, autopilot, mode, 4, 4, 3)
     (received,) = Codec(1, 191).parse(Codec(system, component).pack(message))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.companion import Companion
 from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
@@ -36,7 +37,7 @@ class Stepped:
         self.state: CompanionState = self.companion.start(mode)
         self.condition = OBEDIENT
 
-    def respond(self, sample: Sample) -> np.ndarray | None:
+    def respond(self, sample: Sample) -> NDArray[np.float64] | None:
         self.state, answer = self.companion.respond(self.state, sample, self.condition)
         return answer
 

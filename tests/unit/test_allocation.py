@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import daqp
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from nff_companion.allocation import METHODS, allocator, authority, problem_for, within_bounds
+from nff_companion.allocation import METHODS, allocator, authority, problem_for
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.allocation.problem import normalised_columns
 from nff_companion.allocation.verify import fault_of
@@ -83,7 +87,7 @@ def test_kim_is_optimal_against_random_feasible_directions(octo: vehicle.Vehicle
     matrix = allocator("kim")(problem)[1:]
     null = np.linalg.svd(problem.reduced)[2][4:]
 
-    def cost(candidate: np.ndarray) -> float:
+    def cost(candidate: NDArray[np.float64]) -> float:
         column = candidate[:, 0]
         return float(np.linalg.norm(candidate) + np.abs(column - column.mean()).sum() / len(column))
 
@@ -128,7 +132,9 @@ def test_a_quadrotor_with_a_dead_motor_is_not_given_a_matrix_with_exploding_gain
         (lambda a: a + 50 * np.ones_like(a), "gain"),
     ],
 )
-def test_verification_names_what_is_wrong(octo: vehicle.Vehicle, spoil, word: str) -> None:
+def test_verification_names_what_is_wrong(
+    octo: vehicle.Vehicle, spoil: Callable[[NDArray[np.float64]], NDArray[np.float64]], word: str
+) -> None:
     problem = problem_for(octo.effectiveness, np.ones(8), octo.hover)
     assert word in (fault_of(spoil(allocator("pinv")(problem)), problem) or "")
 
@@ -218,7 +224,7 @@ def test_a_solver_that_fails_leaves_thrusts_within_bounds(
     problem = problem_for(octo.effectiveness, np.array([0.0, 1, 1, 1, 1, 1, 1, 1]), octo.hover)
     matrix, b = allocator("trim")(problem), problem.effectiveness
     for answer, flag in ((np.full(7, np.nan), 1), (np.full(7, 9.0), -1)):
-        monkeypatch.setattr(within_bounds.daqp, "solve", lambda *_, a=answer, f=flag: (a, 0.0, f, {}))
+        monkeypatch.setattr(daqp, "solve", lambda *_, a=answer, f=flag: (a, 0.0, f, {}))
         for _ in range(50):
             thrust, _ = constrain(matrix, b, rng.uniform(-3, 3, 4))
             assert thrust.min() >= 0.0

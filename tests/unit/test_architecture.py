@@ -144,6 +144,26 @@ def test_only_commands_know_the_emulated_vehicle() -> None:
             assert not {n for n in imports(path) if n.split(".")[0] == "sitl"}, module
 
 
+def bare_arrays(source: str) -> list[int]:
+    """Lines where ``np.ndarray`` stands for a type without what it holds: anywhere but in isinstance."""
+    tree, asked = ast.parse(source), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "isinstance":
+            asked |= {id(part) for argument in node.args for part in ast.walk(argument)}
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "ndarray"]
+    return [node.lineno for node in found if id(node) not in asked]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_annotation_says_what_an_array_holds(module: str) -> None:
+    assert bare_arrays(MODULES[module].read_text(encoding="utf-8")) == []
+
+
+def test_a_bare_array_is_found_in_an_annotation_and_in_an_alias_but_not_in_isinstance() -> None:
+    source = "def f(x: np.ndarray) -> bool:\n    return isinstance(x, np.ndarray)\nRule = Callable[[int], np.ndarray]\n"
+    assert sorted(bare_arrays(source)) == [1, 3]
+
+
 # -- one loop, one schedule, one owner ----------------------------------------------------------------------------
 
 

@@ -16,7 +16,7 @@ from lupa.lua53 import LuaRuntime
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots import times
-from nff_companion.autopilots.ardupilot import checks, factors
+from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.card import Card
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.core import vehicle
@@ -42,7 +42,7 @@ def test_tables_keep_the_loop_gains_and_leave_dead_motors_alone(name: str) -> No
     made = factors.of_plans(model, plans)
     unit = factors.unit(model)
     for mask, plan in plans.items():
-        real = made[mask] / factors.FACTOR_SCALE
+        real = made[mask] / tunnel.FACTOR_SCALE
         eta = np.array([0.0 if mask >> i & 1 else 1.0 for i in range(model.motors)])
         assert not real[eta == 0.0].any()
         given = (model.effectiveness * eta) @ real

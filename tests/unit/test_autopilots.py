@@ -8,20 +8,21 @@ import pytest
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, make_plan
 from nff_companion.autopilots.nff import NffAdapter
-from nff_companion.autopilots.schedule import Declare, Drive, Load, Release
+from nff_companion.autopilots.schedule import Command, Declare, Drive, Load, Release
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
 from nff_companion.condition import Reason
+from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
-from nff_companion.mavlink.codec import dialect
+from nff_companion.mavlink.codec import Message, dialect
 
 
-def imu(usec: int):
+def imu(usec: int) -> Message:
     return dialect.MAVLink_highres_imu_message(
         usec, 0.1, 0.2, -9.8, 0.01, 0.02, 0.03, 0.0, 0.0, 0.0, 950.0, 0.0, 0.0, 25.0, 63
     )
 
 
-def servos(usec: int, port: int = 0):
+def servos(usec: int, port: int = 0) -> Message:
     return dialect.MAVLink_servo_output_raw_message(usec % 2**32, port, *[1150 + 100 * k for k in range(8)], *[0] * 8)
 
 
@@ -59,13 +60,17 @@ def test_a_second_output_port_and_unknown_messages_are_not_mistaken(octo: Vehicl
 def test_targets_that_are_marked_as_ignored_are_none(octo: Vehicle) -> None:
     decoder = TelemetryDecoder(octo)
 
-    def sample(mask: int):
+    def sample(mask: int) -> Sample:
         decoder.observe(
             dialect.MAVLink_position_target_local_ned_message(1000, 1, mask, 1.0, 2.0, 3.0, *[0.0] * 6, 0.5, 0.0)
         )
-        return decoder.observe(dialect.MAVLink_highres_imu_message(1_000_000, *[0.0] * 13, 0x3F))
+        found = decoder.observe(dialect.MAVLink_highres_imu_message(1_000_000, *[0.0] * 13, 0x3F))
+        assert found is not None
+        return found
 
-    assert sample(0).target_position_m.tolist() == [1.0, 2.0, 3.0]
+    target = sample(0).target_position_m
+    assert target is not None
+    assert target.tolist() == [1.0, 2.0, 3.0]
     assert sample(0).target_yaw_rad == 0.5
     assert sample(0b111).target_position_m is None
     assert sample(1 << 10).target_yaw_rad is None
@@ -108,10 +113,11 @@ def test_positions_and_targets_are_carried_on_to_the_moment_of_the_sample(octo: 
     assert now is not None
     assert later is not None
     assert old is not None
-    np.testing.assert_allclose(now.position_m, [10.0, 0.0, -5.0])
-    np.testing.assert_allclose(later.position_m, [10.4, 0.0, -4.95])
-    np.testing.assert_allclose(later.target_position_m, [10.4, 0.0, -5.0])
-    np.testing.assert_allclose(old.position_m, [10.0, 0.0, -5.0], err_msg="not for longer than is known")
+    places = now.position_m, later.position_m, later.target_position_m, old.position_m
+    wanted = [10.0, 0.0, -5.0], [10.4, 0.0, -4.95], [10.4, 0.0, -5.0], [10.0, 0.0, -5.0]
+    for place, expected in zip(places, wanted, strict=True):  # the last: not for longer than is known
+        assert place is not None
+        np.testing.assert_allclose(place, expected)
 
 
 def test_no_sequence_is_used_twice_and_every_command_bears_its_time(octo: Vehicle) -> None:
@@ -119,7 +125,7 @@ def test_no_sequence_is_used_twice_and_every_command_bears_its_time(octo: Vehicl
     plan = make_plan(allocator("trim"), octo.effectiveness, np.r_[0.0, np.ones(7)], octo.hover)
     assert isinstance(plan, Plan)
     failed = np.eye(8, dtype=bool)[0]
-    commands = [
+    commands: list[Command] = [
         Declare(10.0, failed, np.ones(8)),
         Load(10.1, plan, failed),
         Drive(10.2, np.full(8, 0.5)),

@@ -8,11 +8,13 @@ import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from nff_companion.core import basis_network, vehicle
 from nff_companion.daemon import configuration
@@ -57,7 +59,8 @@ def written(path: Path, data: str | bytes) -> Path:
 def having(text: str, **values: str) -> str:
     """``text`` with the first line of each key given another value."""
     for key, value in values.items():
-        text, count = re.subn(rf"(?m)^{key} = .*$", lambda _, k=key, v=value: f"{k} = {v}", text, count=1)
+        line = f"{key} = {value}".replace("\\", r"\\")
+        text, count = re.subn(rf"(?m)^{key} = .*$", line, text, count=1)
         assert count == 1, key
     return text
 
@@ -354,18 +357,18 @@ gap_max_s = 0.2
 # -- networks ---------------------------------------------------------------------------------------------------------
 
 
-def arrays_of(data: bytes) -> dict[str, np.ndarray]:
+def arrays_of(data: bytes) -> dict[str, NDArray[np.float64]]:
     with np.load(io.BytesIO(data)) as file:
         return {name: file[name] for name in file.files}
 
 
-def packed(arrays: dict[str, np.ndarray]) -> bytes:
+def packed(arrays: dict[str, NDArray[np.float64]]) -> bytes:
     out = io.BytesIO()
     np.savez(out, allow_pickle=True, **arrays)
     return out.getvalue()
 
 
-def changed(name: str, change: Callable[[np.ndarray], np.ndarray]) -> bytes:
+def changed(name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> bytes:
     arrays = arrays_of(NETWORK)
     arrays[name] = change(arrays[name])
     return packed(arrays)

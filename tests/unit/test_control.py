@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 
 from nff_companion.control.law import ControlLaw, Knowledge, Memory, Reference, State, steady_push
 from nff_companion.core.vehicle import Vehicle
@@ -14,7 +16,16 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STILL = np.zeros(3)
 
 
-def demand(octo: Vehicle, *, position=STILL, velocity=STILL, quaternion=LEVEL, rate=STILL, disturbance=None, yaw=0.0):
+def demand(
+    octo: Vehicle,
+    *,
+    position: ArrayLike = STILL,
+    velocity: ArrayLike = STILL,
+    quaternion: NDArray[np.float64] = LEVEL,
+    rate: ArrayLike = STILL,
+    disturbance: ArrayLike | None = None,
+    yaw: float = 0.0,
+) -> NDArray[np.float64]:
     state = State(np.asarray(position, float), np.asarray(velocity, float), quaternion, np.asarray(rate, float))
     wanted = Reference(np.zeros(3), np.zeros(3), yaw)
     slow = np.zeros(4) if disturbance is None else np.asarray(disturbance, float)
@@ -40,7 +51,9 @@ def test_at_rest_in_place_it_asks_for_the_weight_and_nothing_else(octo: Vehicle)
         ({"disturbance": [1.0, 0, 0, 0]}, 0, -1),
     ],
 )
-def test_each_error_is_answered_with_the_right_sign(octo: Vehicle, change: dict, axis: int, sign: int) -> None:
+def test_each_error_is_answered_with_the_right_sign(
+    octo: Vehicle, change: dict[str, Any], axis: int, sign: int
+) -> None:
     difference = demand(octo, **change) - demand(octo)
     assert np.sign(difference[axis]) == sign
     others = np.delete(np.abs(difference), axis)
@@ -73,9 +86,11 @@ def test_whatever_is_measured_or_believed_the_attitude_wanted_is_upright(
     for _ in range(2000):
         quaternion = rng.standard_normal(4)
         quaternion /= np.linalg.norm(quaternion)
-        state = State(*(rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0)), quaternion, rng.uniform(-60, 60, 3))
+        position, velocity = (rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0))
+        state = State(position, velocity, quaternion, rng.uniform(-60, 60, 3))
         wild = Knowledge(rng.uniform(-50, 50, 4), rng.uniform(-400, 400, 2))
-        reference = Reference(*(rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0)), 1.0, rng.uniform(-50, 50, 3))
+        position, velocity = (rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0))
+        reference = Reference(position, velocity, 1.0, rng.uniform(-50, 50, 3))
         asked, memory = law.demand(state, reference, Memory.empty(), wild, 0.005)
         assert np.isfinite(asked).all()
         assert memory.desired is not None

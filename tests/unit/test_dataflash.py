@@ -20,9 +20,12 @@ def test_a_log_gives_samples_with_state_and_motor_outputs() -> None:
     _, rows = read(LOG, octa)
     samples = [sample for _, sample in rows]
     assert rate_of(samples) == pytest.approx(25.0, abs=0.5)
-    assert -samples[-1].position_m[2] == pytest.approx(10.0, abs=0.1)
+    last = samples[-1].position_m
+    assert last is not None
+    assert -last[2] == pytest.approx(10.0, abs=0.1)
     hover = samples[-100:]
     for sample in hover:
+        assert sample.quaternion is not None
         assert np.linalg.norm(sample.quaternion) == pytest.approx(1.0, abs=1e-3)
         assert sample.specific_force_m_s2[2] == pytest.approx(-9.81, abs=0.3)
         assert sample.armed

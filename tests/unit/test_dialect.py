@@ -17,7 +17,7 @@ MESSAGES = ElementTree.parse(XML).getroot().findall("messages/message")
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: m.get("name"))
 def test_module_holds_the_message_of_the_xml(message: ElementTree.Element) -> None:
-    made = dialect.mavlink_map[int(message.get("id"))]
+    made = dialect.mavlink_map[int(message.attrib["id"])]
     assert made.msgname == message.get("name")
     fields = [f.get("name") for f in message.findall("field")]
     assert made.fieldnames == fields
@@ -29,7 +29,7 @@ def test_no_extension_fields_before_their_time() -> None:
 
 
 def test_private_ids_are_in_the_unallocated_range() -> None:
-    own = [int(m.get("id")) for m in MESSAGES if m.get("name").startswith("NFF_")]
+    own = [int(m.attrib["id"]) for m in MESSAGES if m.attrib["name"].startswith("NFF_")]
     assert own
     assert all(54000 <= i <= 59999 for i in own)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from nff_companion.core import hypotheses, sparse
@@ -23,7 +24,9 @@ MODEL_ERROR_SHARE, YAW_ERROR_SHARE = TUNING.onset.model_error_share, TUNING.onse
 TOGETHER_ERROR_SHARE, SINGLE_ERROR_SHARE = TUNING.onset.together_error_share, TUNING.onset.single_error_share
 
 
-def data(rng: np.random.Generator, octo: Vehicle, samples: int, loss: np.ndarray, noise: float = 0.0):
+def data(
+    rng: np.random.Generator, octo: Vehicle, samples: int, loss: NDArray[np.float64], noise: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     b = octo.acceleration_effectiveness
     u = 0.4 + 0.1 * rng.standard_normal((samples, 8))
     y = np.einsum("ni,ki,i->kn", b, u, loss) + noise * rng.standard_normal((samples, 4))
@@ -55,7 +58,7 @@ def test_sparse_step_is_the_minimum_of_the_written_cost(octo: Vehicle, rng: np.r
     for k in range(80):
         state = sparse.update(state, b * u[k], y[k], np.ones(4), DT, 0.0)
 
-    def cost(e: np.ndarray) -> float:
+    def cost(e: NDArray[np.float64]) -> float:
         misfit = y - np.einsum("ni,ki,i->kn", b, u, e)
         return 0.5 * DT * float((misfit**2).sum()) + gamma * float(np.abs(e).sum())
 
@@ -154,7 +157,7 @@ def test_low_pass_and_lag_equal_scipy(rng: np.random.Generator) -> None:
 def test_residual_of_a_vehicle_that_does_what_the_model_says_is_nought(octo: Vehicle, rng: np.random.Generator) -> None:
     """Thrusts through lag, exact integration and the same gyro filter: no transient may remain."""
     chain = ResidualFilter(octo, DT)
-    chain._inertia = np.ones(3)  # no gyroscopic torque: it is checked below, by itself
+    chain._inertia = [1.0, 1.0, 1.0]  # no gyroscopic torque: it is checked below, by itself
     b = octo.acceleration_effectiveness
     low_pass = LowPass.design(octo.telemetry.gyro_filter_hz, DT)
     assert low_pass is not None

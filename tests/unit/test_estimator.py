@@ -7,12 +7,20 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from golden import flights
+from numpy.typing import NDArray
 
 from nff_companion.core import basis_network
 from nff_companion.core.estimator import Estimate, Estimator, Measurement, Motion
+from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 
 DT = 0.005
+
+
+def motion(sample: Sample) -> Motion:
+    assert sample.velocity_m_s is not None
+    assert sample.quaternion is not None
+    return Motion(sample.velocity_m_s, sample.quaternion)
 
 
 def measurements(octo: Vehicle, name: str) -> list[Measurement]:
@@ -24,14 +32,14 @@ def measurements(octo: Vehicle, name: str) -> list[Measurement]:
             gyro=sample.gyro_rad_s,
             specific_force=sample.specific_force_m_s2,
             command=octo.thrust_fraction(sample.output),
-            motion=Motion(sample.velocity_m_s, sample.quaternion),
+            motion=motion(sample),
             allocation_norm=2.0,
         )
         for sample in samples[400:]
     ]
 
 
-def arrays(estimate: Estimate) -> dict[str, np.ndarray]:
+def arrays(estimate: Estimate) -> dict[str, NDArray[np.float64]]:
     values = {f.name: getattr(estimate, f.name) for f in fields(estimate)}
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ def sample(
 
 
 def first_flying_s(
-    octo: Vehicle, *, start: FlightPhaseState | None = None, until_s: float = 4.0, **what
+    octo: Vehicle, *, start: FlightPhaseState | None = None, until_s: float = 4.0, **what: Any
 ) -> float | None:
     phase, state = FlightPhase(octo), start or FlightPhaseState()
     thrust = np.full(8, octo.hover)

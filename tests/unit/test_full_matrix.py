@@ -65,7 +65,7 @@ def test_its_lyapunov_function_falls_outside_the_bound(seed: int, regularisation
         error = state.matrix - truth
         value = float(s @ mass @ s + np.trace(error @ state.information @ error.T))
         root = np.linalg.cholesky(np.linalg.inv(state.information))
-        bound = o.regularisation / o.forget_s * np.linalg.norm(root.T @ truth.T)
+        bound = float(o.regularisation / o.forget_s * np.linalg.norm(root.T @ truth.T))
         assert value <= before * (1 + 1e-6) + 1e-12 or np.sqrt(before) <= before_bound, (seed, step)
         alpha = min(adaptation.rate(state, u), slow)
         before, before_bound = value, bound / max(alpha, 1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -35,7 +36,7 @@ def test_a_machine_that_keeps_up_is_not_blamed() -> None:
         ({"acted": False, "wall_s": 20.6}, "nothing of the companion was ever applied"),
     ],
 )
-def test_a_machine_that_was_too_slow_is_named_with_the_figure(change: dict, reason: str) -> None:
+def test_a_machine_that_was_too_slow_is_named_with_the_figure(change: dict[str, Any], reason: str) -> None:
     machine = judge(replace(QUICK, **change))
     assert machine["too_slow"]
     assert reason in machine["reason"]
@@ -46,7 +47,7 @@ def test_a_machine_that_was_too_slow_is_named_with_the_figure(change: dict, reas
 @pytest.mark.parametrize(
     "change", [{"acted": False}, {"acted": False, "rate_hz": 0.0, "commands_sent": 0}, {"acted": False, "stale": 0}]
 )
-def test_a_companion_that_does_nothing_on_a_quick_machine_is_not_excused(change: dict) -> None:
+def test_a_companion_that_does_nothing_on_a_quick_machine_is_not_excused(change: dict[str, Any]) -> None:
     assert not judge(replace(QUICK, **change))["too_slow"]
 
 

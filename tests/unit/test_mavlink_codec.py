@@ -8,7 +8,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
-from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
 
 HEARTBEAT = dialect.MAVLink_heartbeat_message(14, 3, 128, 4, 4, 3)
 NO_HEADER = st.binary(max_size=40).map(lambda data: bytes(byte for byte in data if byte not in (0xFD, 0xFE)))
@@ -27,7 +27,7 @@ def numbered(count: int, **options: bool) -> list[bytes]:
     return out
 
 
-def sequences(messages: list) -> list[int]:
+def sequences(messages: list[Message]) -> list[int]:
     return [message.get_seq() for message in messages]
 
 

@@ -14,6 +14,8 @@ import pytest
 import nff_companion
 from nff_companion.errors import ConfigError
 from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.endpoints.tcp import Tcp
+from nff_companion.mavlink.endpoints.tcp_server import TcpServer
 from nff_companion.mavlink.hub import Hub
 from sitl.trials.process import free_port
 
@@ -48,7 +50,7 @@ def test_no_module_of_the_wire_imports_itself_through_others() -> None:
 
 @pytest.mark.parametrize("url", ["udpin:::1:14550", "tcp:[fe80::1]:5760", "udpout://[::1]:14550"])
 def test_an_address_of_the_other_family_is_refused_by_name(url: str) -> None:
-    from nff_companion.mavlink.endpoint import parse
+    from nff_companion.mavlink.urls import parse
 
     with pytest.raises(ConfigError, match="IPv6"):
         parse(url)
@@ -61,14 +63,19 @@ def test_a_peer_that_reads_slowly_gets_whole_frames_and_the_rest_is_counted(kind
         with socket.create_server(("127.0.0.1", port)) as listener:
             hub = Hub([f"tcp:127.0.0.1:{port}"], 1, 191, poll, 0.0)
             peer, _ = listener.accept()
-        ours = hub._ports[0].endpoint._socket
+        outgoing = hub._ports[0].endpoint
+        assert isinstance(outgoing, Tcp)
+        ours = outgoing._socket
     else:
         hub = Hub([f"tcpin:127.0.0.1:{port}"], 1, 191, poll, 0.0)
         peer = socket.create_connection(("127.0.0.1", port))
         peer.sendall(Codec(1, 1).pack(MATRIX))
         assert poll.poll(1000)
         hub.read(hub._ports[0].descriptor, 0.0)
-        ours = hub._ports[0].endpoint._client
+        incoming = hub._ports[0].endpoint
+        assert isinstance(incoming, TcpServer)
+        assert incoming._client is not None
+        ours = incoming._client
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     codec, received, sent = Codec(1, 1), 0, 4000

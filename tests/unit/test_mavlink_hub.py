@@ -7,11 +7,13 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from nff_companion.errors import EndpointError
-from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.mavlink.endpoints.udp import Udp
 from nff_companion.mavlink.hub import Hub
 from sitl.trials.process import free_port
 
@@ -55,8 +57,8 @@ class Net:
         self._senders.append(Sender(self.port, system, component))
         return self._senders[-1]
 
-    def take(self) -> list:
-        out: list = []
+    def take(self) -> list[Message]:
+        out: list[Message] = []
         while ready := self.poll.poll(20):
             for descriptor, _ in ready:
                 out += self.hub.read(descriptor, 0.0)
@@ -194,7 +196,8 @@ def test_a_hundred_strangers_leave_nothing_behind(net: Net) -> None:
 
 def count_of(hub: Hub) -> int:
     """Objects that a hub's ports hold, as far as containers go."""
-    seen, left = 0, [vars_of(port) for port in hub._ports]
+    seen = 0
+    left: list[object] = [vars_of(port) for port in hub._ports]
     while left:
         item = left.pop()
         if isinstance(item, dict | list | tuple | set):
@@ -233,7 +236,7 @@ def silent_resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event
     """Name look-ups do not return until the event is set, and then find this machine."""
     answer = threading.Event()
 
-    def look_up(host: str, port: int | None, *_: object, **__: object) -> list:
+    def look_up(host: str, port: int | None, *_: object, **__: object) -> list[Any]:
         assert not host.replace(".", "").isdigit(), f"{host} is an address and was looked up"
         answer.wait(60.0)
         return [(socket.AF_INET, socket.SOCK_DGRAM, 0, "", ("127.0.0.1", port or 0))]
@@ -281,7 +284,7 @@ def test_datagrams_to_a_name_do_not_look_it_up_again(monkeypatch: pytest.MonkeyP
     looked_up: list[str] = []
     actual = socket.getaddrinfo
 
-    def look_up(host, *arguments, **options):
+    def look_up(host: str, *arguments: Any, **options: Any) -> Any:
         looked_up.append(host)
         return actual(host, *arguments, **options)
 
@@ -298,14 +301,17 @@ def test_datagrams_to_a_name_do_not_look_it_up_again(monkeypatch: pytest.MonkeyP
             hub.send(HEARTBEAT, None, 0.0)
         assert looked_up == ["localhost"]
         # What sendto looks up itself does not pass through getaddrinfo: the peer must be an address.
-        assert hub._ports[0].endpoint._peer[0] == "127.0.0.1"
+        endpoint = hub._ports[0].endpoint
+        assert isinstance(endpoint, Udp)
+        assert endpoint._peer is not None
+        assert endpoint._peer[0] == "127.0.0.1"
         hub.close()
 
 
 def test_a_name_that_does_not_exist_is_said_and_tried_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def look_up(*_: object, **__: object) -> list:
+    def look_up(*_: object, **__: object) -> list[Any]:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", look_up)

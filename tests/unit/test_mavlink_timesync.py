@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.services.timesync import TimeSync
 
 SECOND = 1_000_000_000
 OFFSET = 3 * SECOND  # the autopilot's clock minus ours
 
 
-def heard(message, system: int = 1, component: int = 1):
+def heard(message: Message, system: int = 1, component: int = 1) -> Message:
     (received,) = Codec(1, 191).parse(Codec(system, component).pack(message))
     return received
 
 
-def request(tail: bytes = b""):
+def request(tail: bytes = b"") -> Message:
     """A request; ``tail`` are the extension fields target_system and target_component of newer dialects."""
     frame = bytearray(Codec(1, 1).pack(dialect.MAVLink_timesync_message(0, 77 + (1 << 56))))
     frame[1] += len(tail)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.core.adaptation import Adaptation
 from nff_companion.core.tuning import AdaptationTuning
@@ -11,7 +12,7 @@ from nff_companion.core.tuning import AdaptationTuning
 K, N = 4, 3
 
 
-def basis_at(time_s: float) -> np.ndarray:
+def basis_at(time_s: float) -> NDArray[np.float64]:
     return np.array([np.sin(time_s), np.cos(0.7 * time_s), np.sin(2.3 * time_s + 1.0), 1.0])
 
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from sitl.trials.process import config_text, free_port
 
@@ -35,7 +36,7 @@ def full_pipe() -> tuple[int, int]:
     return reading, writing
 
 
-def script(body: str, **options) -> subprocess.Popen:
+def script(body: str, **options: Any) -> subprocess.Popen[Any]:
     return subprocess.Popen([sys.executable, "-c", _LOGS.format(body=body)], **options)
 
 
@@ -87,6 +88,8 @@ def test_what_found_no_room_is_counted_in_one_line_once_there_is_some() -> None:
     body = 'for k in range(20000): log.warning("line %d", k)\nprint("done", flush=True)\nsys.stdin.read()'
     with script(body, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
         os.close(writing)
+        assert process.stdin is not None
+        assert process.stdout is not None
         if not select.select([process.stdout], [], [], 10.0)[0]:
             process.kill()
         assert process.stdout.readline() == "done\n", "the writer of the lines waited"
@@ -103,7 +106,9 @@ def test_what_found_no_room_is_counted_in_one_line_once_there_is_some() -> None:
     os.close(reading)
     lines = text.decode().lstrip("x").splitlines()
     (report,) = [line for line in lines if "dropped" in line]
-    dropped = int(re.search(r"(\d+) log lines", report).group(1))
+    found = re.search(r"(\d+) log lines", report)
+    assert found is not None
+    dropped = int(found.group(1))
     assert dropped > 10000
     assert len([line for line in lines if "nff: line" in line]) == 20000 - dropped
 

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_networks_that_airframes_name_hold_the_contraction(airframe: str) -> Non
         assert basis.contraction(basis.prior, vehicle, norm) < 1.0
 
 
-def test_a_network_comes_back_from_its_file_as_it_was(basis: Basis, tmp_path: Path, rng) -> None:
+def test_a_network_comes_back_from_its_file_as_it_was(basis: Basis, tmp_path: Path, rng: np.random.Generator) -> None:
     basis.save(tmp_path / "network.npz")
     back = basis_network.load(tmp_path / "network.npz")
     x = rng.standard_normal(len(NAMES))
@@ -103,7 +104,9 @@ def test_a_is_projected_until_the_fixed_point_exists(basis: Basis, octo: Vehicle
     assert basis.project(small, octo, 3.0) is small
 
 
-def test_the_cheap_bound_of_the_contraction_is_never_below_it(basis: Basis, octo: Vehicle, rng) -> None:
+def test_the_cheap_bound_of_the_contraction_is_never_below_it(
+    basis: Basis, octo: Vehicle, rng: np.random.Generator
+) -> None:
     for _ in range(100):
         a = rng.standard_normal(basis.prior.shape) * rng.uniform(0.0, 2.0, basis.prior.shape)
         assert basis._contraction_bound(a, octo, 2.0) >= basis.contraction(a, octo, 2.0) * (1.0 - 1e-12)
@@ -126,7 +129,9 @@ def test_a_network_that_breaks_the_contraction_is_refused(basis: Basis, octo: Ve
         ({"metadata": {"format": basis_network.FORMAT, "inputs": ["rpm"]}}, "inputs"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused(basis: Basis, tmp_path: Path, change: dict, message: str) -> None:
+def test_a_file_that_does_not_fit_is_refused(
+    basis: Basis, tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
     dataclasses.replace(basis, **change).save(tmp_path / "bad.npz")
     with pytest.raises(NetworkError, match=message):
         basis_network.load(tmp_path / "bad.npz")
@@ -172,7 +177,9 @@ def test_features_are_the_same_whatever_the_heading(rng: np.random.Generator) ->
     assert seen[0][6] > 0.1, "rolled right: gravity points to the right"
 
 
-def test_without_attitude_or_velocity_phi_fades_into_the_constant(basis: Basis, octo: Vehicle, rng) -> None:
+def test_without_attitude_or_velocity_phi_fades_into_the_constant(
+    basis: Basis, octo: Vehicle, rng: np.random.Generator
+) -> None:
     disturbance = Disturbance(octo, basis)
     state = disturbance.start()
     known = disturbance.basis(state, rng.uniform(-2, 2, len(NAMES)), 0.005)

@@ -7,60 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_px4 import FakePx4, Link, from_another, in_flight, octo, on_ground, talk, tell, without
+from numpy.typing import NDArray
+from px4_told import NEEDS, held, names, output, untold
 from test_px4_allocator import COLLAPSE, geometry
 
 from nff_companion.autopilots.base import Permit
-from nff_companion.autopilots.px4 import remedy_book
-from nff_companion.autopilots.px4.adapter import Px4Adapter
-from nff_companion.autopilots.px4.remedy import Advisor, Remedy
+from nff_companion.autopilots.px4.adapter import Method, Px4Adapter
+from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy
 from nff_companion.autopilots.schedule import Drive, Release, ScheduleState, steps
-from nff_companion.companion import Output
-from nff_companion.condition import Condition, Mode, Reason, Source
-from nff_companion.core.vehicle import Vehicle
-from nff_companion.mavlink.codec import Message, dialect
+from nff_companion.condition import Mode, Reason, Source
+from nff_companion.mavlink.codec import dialect
 from nff_companion.mavlink.services.parameter_reader import name_of
 from nff_companion.mavlink.services.streams import interval
 
-
-def names(messages: list[Message]) -> list[str]:
-    return [name_of(m) for m in messages if m.get_type() == "PARAM_SET"]
-
-
-def held(condition: Condition) -> list[int]:
-    assert condition.in_force.failed is not None
-    return [int(i) + 1 for i in np.flatnonzero(condition.in_force.failed)]
-
-
-def untold(condition: Condition) -> tuple[Reason, str]:
-    assert condition.untold is not None
-    return condition.untold.reason, condition.untold.text
-
-
-def output(model: Vehicle, failed: tuple[int, ...], mode: Mode = Mode.ALLOCATE) -> Output:
-    eta = without(model, failed)
-    return Output(
-        time_s=10.0,
-        mode=mode,
-        obstacle=None,
-        flying=True,
-        failed=eta == 0.0,
-        effectiveness=eta,
-        deviation=np.zeros(8),
-        degraded=np.zeros(8, bool),
-        events=(),
-        plan=None,
-        override=None,
-        estimate=None,
-        unallocated=np.zeros(4),
-        rejected=0,
-        bad_samples=0,
-    )
-
-
-@pytest.fixture(autouse=True)
-def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is computed ahead takes time and changes nothing here."""
-    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
+pytestmark = pytest.mark.usefixtures("nothing_ahead")
 
 
 # -- what is told ------------------------------------------------------------------------------------------------------
@@ -177,7 +137,12 @@ def test_a_refused_remedy_is_not_sought_again_at_every_sample(
     adapter, now = in_flight(tmp_path, px4, model)
     sought = []
     real = Advisor.remedy
-    monkeypatch.setattr(Advisor, "remedy", lambda self, eta: sought.append(1) or real(self, eta))
+
+    def counted(advisor: Advisor, eta: NDArray[np.float64]) -> Remedy | NoRemedy:
+        sought.append(1)
+        return real(advisor, eta)
+
+    monkeypatch.setattr(Advisor, "remedy", counted)
     for k in range(200):
         eta = without(model, (1, 7))
         eta[4] = 0.5 + 0.05 * rng.uniform(-1, 1)
@@ -325,14 +290,13 @@ def test_a_condition_in_which_nothing_changed_is_not_made_anew(tmp_path: Path) -
 # -- who may what ------------------------------------------------------------------------------------------------------
 
 
-NEEDS = {"SYS_FAILURE_EN": 1.0, "CA_FAILURE_MODE": 1.0, "FD_ACT_EN": 1.0}
-
-
 @pytest.mark.parametrize("method", ["scale", "inject"])
 @pytest.mark.parametrize("permit", [Permit.LISTEN, Permit.TIDY])
-def test_who_may_not_act_sends_requests_alone_from_boot_to_landing(permit: Permit, method: str, tmp_path: Path) -> None:
+def test_who_may_not_act_sends_requests_alone_from_boot_to_landing(
+    permit: Permit, method: Method, tmp_path: Path
+) -> None:
     model = octo()
-    px4 = FakePx4(model, **(NEEDS if method == "inject" else {}))
+    px4 = FakePx4(model, changes=(NEEDS if method == "inject" else {}))
     adapter = Px4Adapter(model, (1, 1), tmp_path / "journal", method)
     now = talk(adapter, px4, 0.0, 5.0, permit=permit)
     px4.armed = True
@@ -436,7 +400,7 @@ def test_what_is_not_understood_is_observed_with_a_reason(
     version: int, changes: dict[str, float], reason: Reason, text: str, tmp_path: Path
 ) -> None:
     model = octo()
-    px4 = FakePx4(model, version, **changes)
+    px4 = FakePx4(model, version, changes=changes)
     adapter, now = in_flight(tmp_path, px4, model)
     command = adapter.condition(now).command
     assert command is not None

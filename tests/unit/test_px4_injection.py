@@ -7,58 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_px4 import FakePx4, from_another, in_flight, octo, talk, tell, without
+from px4_told import NEEDS, held, untold
 
 from nff_companion.autopilots.base import Permit
-from nff_companion.autopilots.px4 import remedy_book
-from nff_companion.companion import Output
-from nff_companion.condition import Condition, Mode, Reason, Source
-from nff_companion.core.vehicle import Vehicle
-from nff_companion.mavlink.codec import Message, dialect
-from nff_companion.mavlink.services.parameter_reader import name_of
+from nff_companion.condition import Reason, Source
+from nff_companion.mavlink.codec import dialect
+
+pytestmark = pytest.mark.usefixtures("nothing_ahead")
 
 
-def names(messages: list[Message]) -> list[str]:
-    return [name_of(m) for m in messages if m.get_type() == "PARAM_SET"]
-
-
-def held(condition: Condition) -> list[int]:
-    assert condition.in_force.failed is not None
-    return [int(i) + 1 for i in np.flatnonzero(condition.in_force.failed)]
-
-
-def untold(condition: Condition) -> tuple[Reason, str]:
-    assert condition.untold is not None
-    return condition.untold.reason, condition.untold.text
-
-
-def output(model: Vehicle, failed: tuple[int, ...], mode: Mode = Mode.ALLOCATE) -> Output:
-    eta = without(model, failed)
-    return Output(
-        time_s=10.0,
-        mode=mode,
-        obstacle=None,
-        flying=True,
-        failed=eta == 0.0,
-        effectiveness=eta,
-        deviation=np.zeros(8),
-        degraded=np.zeros(8, bool),
-        events=(),
-        plan=None,
-        override=None,
-        estimate=None,
-        unallocated=np.zeros(4),
-        rejected=0,
-        bad_samples=0,
-    )
-
-
-@pytest.fixture(autouse=True)
-def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is computed ahead takes time and changes nothing here."""
-    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
-
-
-NEEDS = {"SYS_FAILURE_EN": 1.0, "CA_FAILURE_MODE": 1.0, "FD_ACT_EN": 1.0}
 OK = int(dialect.FAILURE_TYPE_OK)
 
 
@@ -67,7 +24,7 @@ def test_injection_means_what_the_version_says_and_changes_no_parameter(
     version: int, kind: str, tmp_path: Path
 ) -> None:
     model = octo()
-    px4 = FakePx4(model, version, **NEEDS)
+    px4 = FakePx4(model, version, changes=NEEDS)
     adapter, now = in_flight(tmp_path, px4, model, "inject")
     assert adapter.condition(now).command is None
     px4.deaf = True
@@ -95,7 +52,7 @@ def test_injection_means_what_the_version_says_and_changes_no_parameter(
 
 @pytest.mark.parametrize("permit", [Permit.TIDY, Permit.ACT])
 def test_an_injected_failure_is_undone_when_the_vehicle_disarms(permit: Permit, tmp_path: Path) -> None:
-    px4 = FakePx4(octo(), **NEEDS)
+    px4 = FakePx4(octo(), changes=NEEDS)
     adapter, now = in_flight(tmp_path, px4, octo(), "inject")
     tell(adapter, px4, without(octo(), (3,)), now)
     now = talk(adapter, px4, now, 0.2)
@@ -110,7 +67,7 @@ def test_an_injected_failure_is_undone_when_the_vehicle_disarms(permit: Permit, 
 
 
 def test_a_late_acknowledgement_does_not_confirm_the_next_command(tmp_path: Path) -> None:
-    px4 = FakePx4(octo(), **NEEDS)
+    px4 = FakePx4(octo(), changes=NEEDS)
     adapter, now = in_flight(tmp_path, px4, octo(), "inject")
     px4.deaf = True
     tell(adapter, px4, without(octo(), (3,)), now)
@@ -131,7 +88,7 @@ def test_a_late_acknowledgement_does_not_confirm_the_next_command(tmp_path: Path
 
 def test_a_refused_injection_is_said_and_not_sent_for_ever(tmp_path: Path) -> None:
     model = octo()
-    px4 = FakePx4(model, **NEEDS)
+    px4 = FakePx4(model, changes=NEEDS)
     px4.injection_result = int(dialect.MAV_RESULT_DENIED)
     adapter, now = in_flight(tmp_path, px4, model, "inject")
     tell(adapter, px4, without(model, (3,)), now)
@@ -152,7 +109,7 @@ def test_a_refused_injection_is_said_and_not_sent_for_ever(tmp_path: Path) -> No
 def test_injection_that_would_do_nothing_is_refused_with_a_reason(
     version: int, changes: dict[str, float], reason: str, tmp_path: Path
 ) -> None:
-    px4 = FakePx4(octo(), version, **changes)
+    px4 = FakePx4(octo(), version, changes=changes)
     adapter, now = in_flight(tmp_path, px4, octo(), "inject")
     command = adapter.condition(now).command
     assert command is not None
@@ -163,7 +120,7 @@ def test_injection_that_would_do_nothing_is_refused_with_a_reason(
 
 def test_a_partial_loss_cannot_be_injected_and_is_said_so(tmp_path: Path) -> None:
     model = octo()
-    px4 = FakePx4(model, **NEEDS)
+    px4 = FakePx4(model, changes=NEEDS)
     adapter, now = in_flight(tmp_path, px4, model, "inject")
     eta = np.ones(8)
     eta[4] = 0.5
@@ -175,7 +132,7 @@ def test_a_partial_loss_cannot_be_injected_and_is_said_so(tmp_path: Path) -> Non
 
 def test_who_may_only_tidy_sends_no_failure_again_and_who_listens_lifts_none(tmp_path: Path) -> None:
     model = octo()
-    px4 = FakePx4(model, **NEEDS)
+    px4 = FakePx4(model, changes=NEEDS)
     adapter, now = in_flight(tmp_path, px4, model, "inject")
     px4.deaf = True
     tell(adapter, px4, without(model, (3,)), now)

@@ -7,51 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_px4 import FakePx4, Link, in_flight, octo, on_ground, talk, tell, without
+from px4_told import held, untold
 
 from nff_companion.autopilots.base import Permit
-from nff_companion.autopilots.px4 import remedy_book
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.schedule import Release
-from nff_companion.companion import Output
-from nff_companion.condition import Condition, Mode, Reason
-from nff_companion.core.vehicle import Vehicle
-from nff_companion.mavlink.codec import Message
-from nff_companion.mavlink.services.parameter_reader import name_of
-
-
-def names(messages: list[Message]) -> list[str]:
-    return [name_of(m) for m in messages if m.get_type() == "PARAM_SET"]
-
-
-def held(condition: Condition) -> list[int]:
-    assert condition.in_force.failed is not None
-    return [int(i) + 1 for i in np.flatnonzero(condition.in_force.failed)]
-
-
-def untold(condition: Condition) -> tuple[Reason, str]:
-    assert condition.untold is not None
-    return condition.untold.reason, condition.untold.text
-
-
-def output(model: Vehicle, failed: tuple[int, ...], mode: Mode = Mode.ALLOCATE) -> Output:
-    eta = without(model, failed)
-    return Output(
-        time_s=10.0,
-        mode=mode,
-        obstacle=None,
-        flying=True,
-        failed=eta == 0.0,
-        effectiveness=eta,
-        deviation=np.zeros(8),
-        degraded=np.zeros(8, bool),
-        events=(),
-        plan=None,
-        override=None,
-        estimate=None,
-        unallocated=np.zeros(4),
-        rejected=0,
-        bad_samples=0,
-    )
+from nff_companion.condition import Reason
 
 
 def changed_by_another(adapter: Px4Adapter, px4: FakePx4, name: str, value: float, now: float) -> None:
@@ -60,10 +21,7 @@ def changed_by_another(adapter: Px4Adapter, px4: FakePx4, name: str, value: floa
     adapter.observe(said, now)
 
 
-@pytest.fixture(autouse=True)
-def nothing_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is computed ahead takes time and changes nothing here."""
-    monkeypatch.setattr(remedy_book, "sets_ahead", lambda motors: [])
+pytestmark = pytest.mark.usefixtures("nothing_ahead")
 
 
 # -- restoring ---------------------------------------------------------------------------------------------------------

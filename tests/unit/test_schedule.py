@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -10,7 +12,7 @@ from stepping import Stepped
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, make_plan
 from nff_companion.autopilots import schedule, times
-from nff_companion.autopilots.schedule import Declare, Load, Release, ScheduleState
+from nff_companion.autopilots.schedule import Command, Declare, Load, Release, ScheduleState
 from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, InForce, Mode, Source
 from nff_companion.core.vehicle import Vehicle
@@ -25,19 +27,28 @@ def plan(octo: Vehicle) -> Plan:
     return found
 
 
-def output(failed: list[int], plan: Plan | None = None, mode: Mode = Mode.ALLOCATE, **change) -> Output:
+def output(failed: list[int], plan: Plan | None = None, mode: Mode = Mode.ALLOCATE, **change: Any) -> Output:
     mask = np.zeros(8, bool)
     mask[[m - 1 for m in failed]] = True
     return replace(Stepped().state.last, mode=mode, failed=mask, plan=plan, flying=True, **change)
 
 
-def told(state: ScheduleState, out: Output, condition: Condition, start: float, cycles: int):
+def told(
+    state: ScheduleState, out: Output, condition: Condition, start: float, cycles: int
+) -> tuple[ScheduleState, list[tuple[int, Command]]]:
     """Commands with the cycle in which they come, at 200 Hz."""
-    commands = []
+    commands: list[tuple[int, Command]] = []
     for k in range(cycles):
         state, new = schedule.steps(state, out, condition, start + 0.005 * k)
         commands += [(k, command) for command in new]
     return state, commands
+
+
+def declared(commands: list[tuple[int, Command]]) -> list[Declare]:
+    """The declarations; there must be nothing else."""
+    found = [command for _, command in commands if isinstance(command, Declare)]
+    assert len(found) == len(commands)
+    return found
 
 
 def test_a_declaration_is_repeated_until_confirmed_and_the_matrix_streams(plan: Plan) -> None:
@@ -69,7 +80,7 @@ def test_observe_tells_nothing_unless_the_operator_has_spoken(plan: Plan) -> Non
     out = output([], None, Mode.OBSERVE)
     state, commands = told(state, out, condition, 11.0, 30)
     assert [k for k, _ in commands] == [0, 10, 20]
-    assert not commands[0][1].failed.any()
+    assert not declared(commands)[0].failed.any()
     _, commands = told(state, out, Condition(takes_matrix=True, in_force=NOBODY), 11.2, 30)
     assert commands == []
 
@@ -79,7 +90,7 @@ def test_a_lift_while_observing_adds_nothing_that_is_only_believed() -> None:
     held = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[2]))
     state = schedule.lifted(ScheduleState.start(8), [3], 10.0)
     _, commands = told(state, output([5], None, Mode.OBSERVE), held, 10.0, 20)
-    assert [command.failed.any() for _, command in commands] == [False, False]
+    assert [command.failed.any() for command in declared(commands)] == [False, False]
     for nothing in (NOBODY, InForce()):
         _, commands = told(state, output([5], None, Mode.OBSERVE), Condition(in_force=nothing), 10.0, 20)
         assert commands == []
@@ -103,7 +114,7 @@ def test_a_partial_loss_is_told_by_declaration_where_no_matrix_is_taken_and_not_
     out = output([], degraded=weak < 1.0, effectiveness=weak)
     state, commands = told(ScheduleState.start(8), out, condition, 10.0, 300)
     assert [k for k, _ in commands] == [0]
-    np.testing.assert_array_equal(commands[0][1].effectiveness, weak)
+    np.testing.assert_array_equal(declared(commands)[0].effectiveness, weak)
     weaker = output([], degraded=weak < 1.0, effectiveness=np.r_[0.3, np.ones(7)])
     _, commands = told(state, weaker, condition, 11.5, 300)
     assert len(commands) == 1

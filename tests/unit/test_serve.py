@@ -6,13 +6,14 @@ import socket
 import struct
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nff_companion.core import vehicle
 from nff_companion.errors import EndpointError, FrameError
-from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.codec import Codec, Message, dialect
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.serve.ardupilot_json import ArduPilotServer, parse
@@ -23,7 +24,7 @@ from sitl.trials.process import free_port
 DATA = Path(__file__).parents[1] / "data"
 
 
-def physics(name: str = "octo-x", faults: list[Fault] | None = None, **options) -> Physics:
+def physics(name: str = "octo-x", faults: list[Fault] | None = None, **options: Any) -> Physics:
     return Physics(airframe.load(vehicle.path_of(name)), PhysicsOptions(**options), faults)
 
 
@@ -162,7 +163,7 @@ def test_px4_is_stepped_in_lock_step_over_tcp_and_its_leaving_is_said() -> None:
 
 
 def test_outputs_of_px4_are_checked() -> None:
-    def message(controls: list[float], mode: int = 129):
+    def message(controls: list[float], mode: int = 129) -> Message:
         made = dialect.MAVLink_hil_actuator_controls_message(0, controls + [0.0] * (16 - len(controls)), mode, 1)
         return Codec(1, 200).parse(Codec(1, 1).pack(made))[0]
 
@@ -203,7 +204,7 @@ def test_the_same_seed_flies_the_same_at_any_frame_length() -> None:
         for _ in range(100):
             plant.step(np.full(8, 0.8), interval)
         ends.append(plant.position_m.copy())
-    assert np.array_equal(*ends)
+    assert np.array_equal(ends[0], ends[1])
 
 
 def test_pressure_falls_with_height() -> None:

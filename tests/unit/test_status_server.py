@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,11 @@ Make = Callable[..., StatusServer]
 def make(tmp_path: Path) -> Iterator[Make]:
     made: list[StatusServer] = []
 
-    def make(path: Path = tmp_path / "s", handler=lambda request: {"got": request}, **options) -> StatusServer:
+    def make(
+        path: Path = tmp_path / "s",
+        handler: Callable[[dict[str, Any]], dict[str, Any]] = lambda request: {"got": request},
+        **options: Any,
+    ) -> StatusServer:
         made.append(StatusServer(str(path), handler, **options))
         return made[-1]
 
@@ -129,10 +134,10 @@ def test_root_the_daemons_user_and_the_sockets_group_command_and_nobody_else() -
 
 
 @pytest.mark.parametrize("request_", [{"command": "lift", "motor": 1}, {"command": "mode", "mode": "observe"}])
-def test_a_stranger_may_look_but_not_touch(make: Make, tmp_path: Path, request_: dict) -> None:
-    asked: list[dict] = []
+def test_a_stranger_may_look_but_not_touch(make: Make, tmp_path: Path, request_: dict[str, Any]) -> None:
+    asked: list[dict[str, Any]] = []
 
-    def handler(request: dict) -> dict:
+    def handler(request: dict[str, Any]) -> dict[str, Any]:
         asked.append(request)
         return {"fine": True}
 

@@ -6,6 +6,7 @@ import ast
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -105,7 +106,18 @@ def test_a_number_below_above_or_of_another_type_is_refused_by_file_key_value_an
 
 @pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.key)
 def test_a_number_made_in_code_is_refused_by_the_check(field: Field) -> None:
-    bads = (field.low - 1.0, field.high * 2.0 + 1.0, math.nan, math.inf, -math.inf, True, "1", None, [], 10**400)
+    bads: tuple[Any, ...] = (
+        field.low - 1.0,
+        field.high * 2.0 + 1.0,
+        math.nan,
+        math.inf,
+        -math.inf,
+        True,
+        "1",
+        None,
+        [],
+        10**400,
+    )
     for bad in bads:
         value = bad if field.length is None else (*field.default[:-1], bad)
         with pytest.raises(ConfigError, match=field.key):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from importlib import resources
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,12 @@ from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage, unpac
 from nff_companion.errors import TunnelError
 from nff_companion.mavlink.codec import Codec
 
+Lua = tuple[Any, Any]  # the runtime and the module
 _BYTES = {"flags": 255, "motors": 12, "source": 3, "tables": 255}
 
 
 @pytest.fixture(scope="module")
-def lua():
+def lua() -> Lua:
     runtime = LuaRuntime(encoding=None)
     folder = resources.files("nff_companion") / "autopilots" / "ardupilot" / "lua" / "modules"
     return runtime, runtime.execute((folder / "nff_protocol.lua").read_bytes())
@@ -43,7 +45,7 @@ def example(kind: Kind, draw: random.Random) -> TunnelMessage:
 
 
 @pytest.mark.parametrize("kind", list(Kind))
-def test_lua_packs_and_reads_what_python_does(kind: Kind, lua) -> None:
+def test_lua_packs_and_reads_what_python_does(kind: Kind, lua: Lua) -> None:
     runtime, protocol = lua
     seed = random.randrange(2**32)
     print(f"seed {seed}")
@@ -64,13 +66,15 @@ def test_lua_packs_and_reads_what_python_does(kind: Kind, lua) -> None:
         again = unpack(data)
         assert again.values == message.values
         if message.factors is not None:
+            assert again.factors is not None
             assert np.array_equal(again.factors, message.factors)
         if message.pwm is not None:
+            assert again.pwm is not None
             assert np.array_equal(again.pwm, message.pwm)
         assert protocol[b"check"](data) == tunnel.check(data)
 
 
-def test_both_give_a_table_and_all_tables_the_same_check(lua, rng: np.random.Generator) -> None:
+def test_both_give_a_table_and_all_tables_the_same_check(lua: Lua, rng: np.random.Generator) -> None:
     _, protocol = lua
     tables = {int(mask): rng.bytes(64) for mask in rng.permutation(200)[:36]}
     each = {mask: protocol[b"table_check"](mask, table) for mask, table in tables.items()}
@@ -96,7 +100,7 @@ def test_every_message_fits_for_twelve_motors() -> None:
         assert len(message.pack()) <= 128
 
 
-def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
+def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua: Lua) -> None:
     _, protocol = lua
     good = TunnelMessage(Kind.DECLARATION, {"sequence": 1, "instance": 9, "sample_ms": 5, "failed": 1}).pack()
 
@@ -118,7 +122,7 @@ def test_what_was_cut_changed_or_is_newer_is_refused_with_a_reason(lua) -> None:
         assert protocol[b"unpack"](bad) is None
 
 
-def test_no_single_flipped_bit_gets_through(lua) -> None:
+def test_no_single_flipped_bit_gets_through(lua: Lua) -> None:
     _, protocol = lua
     good = TunnelMessage(Kind.DECLARATION, {"sequence": 7, "instance": 3, "sample_ms": 12345, "failed": 4}).pack()
     for bit in range(8 * len(good)):

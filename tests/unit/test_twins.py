@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections.abc import Callable
 
 import pytest
 
@@ -40,7 +41,12 @@ class Computer:
         return [heartbeat(self.instance, mode, self.twins.rank)]
 
 
-def fly(computers: list[Computer], until_s: float, start_s: float = 0.0, heard=lambda now_s: True) -> list[list[int]]:
+def fly(
+    computers: list[Computer],
+    until_s: float,
+    start_s: float = 0.0,
+    heard: Callable[[float], bool] = lambda now_s: True,
+) -> list[list[int]]:
     """Who acted, at every moment."""
     acted, autopilot = [], heartbeat(0, Mode.OBSERVE, Rank.BYSTANDER, kind=14)
     for k in range(round((until_s - start_s) / STEP_S)):
@@ -60,7 +66,9 @@ def fly(computers: list[Computer], until_s: float, start_s: float = 0.0, heard=l
 @pytest.mark.parametrize(("first", "second"), [(10, 20), (20, 10)])
 @pytest.mark.parametrize("apart_s", [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 5.0])
 @pytest.mark.parametrize("phase_s", [0.0, 0.4, 0.9])
-def test_of_two_that_start_together_or_apart_one_acts_for_good(first, second, apart_s, phase_s) -> None:
+def test_of_two_that_start_together_or_apart_one_acts_for_good(
+    first: int, second: int, apart_s: float, phase_s: float
+) -> None:
     acted = fly([Computer(first, 0.0), Computer(second, apart_s, phase_s=phase_s)], 30.0)
     settled = acted[round((apart_s + 4.0) / STEP_S) :]
     assert all(len(who) == 1 for who in settled)
@@ -71,7 +79,9 @@ def test_of_two_that_start_together_or_apart_one_acts_for_good(first, second, ap
 
 @pytest.mark.parametrize("back_after_s", [0.3, 1.0, 2.9, 3.5, 10.0])
 @pytest.mark.parametrize(("acting", "spare", "again"), list(itertools.permutations((10, 20, 30))))
-def test_a_spare_or_the_one_that_comes_back_acts_after_a_crash(acting, spare, again, back_after_s) -> None:
+def test_a_spare_or_the_one_that_comes_back_acts_after_a_crash(
+    acting: int, spare: int, again: int, back_after_s: float
+) -> None:
     a, b = Computer(acting, 0.0, stop_s=20.0), Computer(spare, 5.0)
     acted = fly([a, b, Computer(again, 20.0 + back_after_s)], 60.0)
     assert acted[199] == [acting]
@@ -82,7 +92,7 @@ def test_a_spare_or_the_one_that_comes_back_acts_after_a_crash(acting, spare, ag
 
 
 @pytest.mark.parametrize(("first", "second"), [(10, 20), (20, 10)])
-def test_two_that_could_not_hear_each_other_agree_once_they_can(first, second) -> None:
+def test_two_that_could_not_hear_each_other_agree_once_they_can(first: int, second: int) -> None:
     acted = fly([Computer(first, 0.0), Computer(second, 8.0)], 40.0, heard=lambda now_s: now_s > 20.0)
     assert acted[150] == [first, second], "nobody can know"
     settled = acted[round(22.5 / STEP_S) :]

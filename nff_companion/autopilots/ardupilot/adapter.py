@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import times
@@ -297,12 +298,12 @@ class ArduPilotAdapter:
             self._untold, self._condition = untold, None
 
     def _message(
-        self, kind: Kind, *, rows: np.ndarray | None = None, pwm: np.ndarray | None = None, **v: int
+        self, kind: Kind, *, rows: NDArray[np.int16] | None = None, pwm: NDArray[np.uint16] | None = None, **v: int
     ) -> Message:
         self._sequence = tunnel.following(self._sequence)
         inner = TunnelMessage(kind, {"sequence": self._sequence, "instance": self._instance, **v}, rows, pwm)
         return tunnel.wrap(inner.pack(), self.target)
 
 
-def _mask(failed: np.ndarray) -> int:
+def _mask(failed: NDArray[np.bool_]) -> int:
     return int((1 << np.flatnonzero(failed)).sum())

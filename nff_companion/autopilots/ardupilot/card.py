@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots.ardupilot import factors, tunnel
@@ -82,7 +83,7 @@ class Card:
             return text
         return f"{text}: install again" if self._checked else f"{text} so far: they are being compared"
 
-    def upload(self, now_s: float) -> tuple[int, np.ndarray] | None:
+    def upload(self, now_s: float) -> tuple[int, NDArray[np.int16]] | None:
         """The next table (m, 4) int16 to be sent, with its mask; None when none is due."""
         if now_s < self._next_s:
             return None

@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots import times
@@ -44,7 +45,7 @@ def _source(*parts: str) -> bytes:
     return folder.read_bytes()
 
 
-def airframe_module(vehicle: Vehicle, rows: dict[int, np.ndarray]) -> str:
+def airframe_module(vehicle: Vehicle, rows: dict[int, NDArray[np.int16]]) -> str:
     """Lua module with what the scripts must know of the airframe; ``rows`` (m, 4) int16 by failed mask."""
     command = vehicle.command
     lines = [

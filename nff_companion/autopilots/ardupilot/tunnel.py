@@ -35,6 +35,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.errors import TunnelError
 from nff_companion.mavlink.codec import Message, dialect
@@ -119,8 +120,8 @@ class TunnelMessage:
 
     kind: Kind
     values: dict[str, int] = field(default_factory=dict)
-    factors: np.ndarray | None = None
-    pwm: np.ndarray | None = None
+    factors: NDArray[np.int16] | None = None
+    pwm: NDArray[np.uint16] | None = None
 
     def pack(self) -> bytes:
         """Bytes. Raises TunnelError when a field is missing or does not fit."""
@@ -197,7 +198,7 @@ def check(data: bytes) -> int:
     return total
 
 
-def table_bytes(table: np.ndarray) -> bytes:
+def table_bytes(table: NDArray[np.int16]) -> bytes:
     """Bytes of factors (m, 4) int16, as they are stored."""
     return np.ascontiguousarray(table, "<i2").tobytes()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 _WEAK_ROW = 0.05  # an axis on which every motor does less is not controlled at all
 _SMALL = 1e-3
@@ -21,20 +22,20 @@ ROLL, PITCH, YAW, THRUST_X, THRUST_Y, THRUST_Z = range(6)
 class Geometry:
     """CA_ROTORn_*: positions (m, 3), axes (m, 3), CT (m,), KM (m,); ``desaturate`` False: plain pseudo-inverse."""
 
-    position_m: np.ndarray
-    axis: np.ndarray
-    thrust_coefficient: np.ndarray
-    moment_ratio: np.ndarray
+    position_m: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    thrust_coefficient: NDArray[np.float64]
+    moment_ratio: NDArray[np.float64]
     airmode: int = 0
     desaturate: bool = True
 
-    def scaled(self, effectiveness: np.ndarray, *, yaw_released: bool = False) -> Geometry:
+    def scaled(self, effectiveness: NDArray[np.float64], *, yaw_released: bool = False) -> Geometry:
         """The geometry with each CT times ``effectiveness`` (m,), and no moments when yaw is released."""
         moment = np.zeros_like(self.moment_ratio) if yaw_released else self.moment_ratio
         return replace(self, thrust_coefficient=self.thrust_coefficient * effectiveness, moment_ratio=moment)
 
 
-def effectiveness_matrix(geometry: Geometry) -> np.ndarray:
+def effectiveness_matrix(geometry: Geometry) -> NDArray[np.float64]:
     """(6, m) torques and thrusts of the motors at full output, weak rows zeroed."""
     norm = np.linalg.norm(geometry.axis, axis=1)
     used = (norm > 1e-7) & (np.abs(geometry.thrust_coefficient) > 1e-7)
@@ -47,7 +48,7 @@ def effectiveness_matrix(geometry: Geometry) -> np.ndarray:
     return matrix
 
 
-def mix_matrix(geometry: Geometry) -> np.ndarray:
+def mix_matrix(geometry: Geometry) -> NDArray[np.float64]:
     """(m, 6): pseudo-inverse, normalised as PX4 does after a change of configuration."""
     mix = np.linalg.pinv(effectiveness_matrix(geometry), rcond=1e-6)
     scale = np.ones(6)
@@ -67,7 +68,7 @@ def mix_matrix(geometry: Geometry) -> np.ndarray:
     return np.asarray(mix)
 
 
-def _gain(vector: np.ndarray, output: np.ndarray, low: float, high: float) -> float:
+def _gain(vector: NDArray[np.float64], output: NDArray[np.float64], low: float, high: float) -> float:
     strong = np.abs(vector) >= _DESATURATION_MIN
     k = np.zeros(1)
     for bound, wrong in ((low, output < low), (high, output > high)):
@@ -77,7 +78,9 @@ def _gain(vector: np.ndarray, output: np.ndarray, low: float, high: float) -> fl
     return float(k.min() + k.max())
 
 
-def _desaturate(output: np.ndarray, vector: np.ndarray, *, reduce_only: bool = False, high: float = 1.0) -> np.ndarray:
+def _desaturate(
+    output: NDArray[np.float64], vector: NDArray[np.float64], *, reduce_only: bool = False, high: float = 1.0
+) -> NDArray[np.float64]:
     gain = _gain(vector, output, 0.0, high)
     if reduce_only and gain < 0.0:
         return output
@@ -85,7 +88,7 @@ def _desaturate(output: np.ndarray, vector: np.ndarray, *, reduce_only: bool = F
     return np.asarray(output + 0.5 * _gain(vector, output, 0.0, high) * vector)
 
 
-def allocate(mix: np.ndarray, demand: np.ndarray, geometry: Geometry) -> np.ndarray:
+def allocate(mix: NDArray[np.float64], demand: NDArray[np.float64], geometry: Geometry) -> NDArray[np.float64]:
     """(m,) motor outputs 0..1 for a demand (6,)."""
     if not geometry.desaturate:
         return np.clip(mix @ demand, 0.0, 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.base import Permit
 from nff_companion.autopilots.px4.remedy import Advisor
@@ -50,7 +51,7 @@ class Injection:
         failed = read_only(np.arange(1, self._motors + 1) == (self._confirmed or 0))
         return InForce(Source.STOCK if self._confirmed is None else Source.DECLARATION, failed)
 
-    def tell(self, believed: np.ndarray, advisor: Advisor, now_s: float) -> list[Message]:
+    def tell(self, believed: NDArray[np.float64], advisor: Advisor, now_s: float) -> list[Message]:
         """Tell the first total failure of ``believed`` (m,) effectiveness, or that it is lifted; again until
         acknowledged."""
         dead = [int(i) + 1 for i in np.flatnonzero(believed == 0.0)]
@@ -72,7 +73,7 @@ class Injection:
             self._told = motor
             self._want(motor, self._kind)
 
-    def _why_untold(self, believed: np.ndarray, dead: list[int], advisor: Advisor) -> Statement | None:
+    def _why_untold(self, believed: NDArray[np.float64], dead: list[int], advisor: Advisor) -> Statement | None:
         if not advisor.lifts(believed):
             return Statement(Reason.NO_LIFT)
         left = [motor for motor in dead if motor != self._told]

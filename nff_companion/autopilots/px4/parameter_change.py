@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.px4.remedy import Remedy
 from nff_companion.condition import InForce, Source, read_only
@@ -71,7 +72,7 @@ class ParameterChange:
         source = Source.STOCK if self.as_found else Source.DECLARATION  # what others tune is no declaration
         return InForce(source, read_only(np.abs(self.shares()) < _DEAD), released)
 
-    def shares(self) -> np.ndarray:
+    def shares(self) -> NDArray[np.float64]:
         """(m,) CT over what it was, by PX4's word."""
         names = [f"CA_ROTOR{i}_CT" for i in range(self._motors)]
         return np.array([self._reader.values[n] / self.found[n] if self.found[n] else 1.0 for n in names])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.px4 import allocator
 from nff_companion.autopilots.px4.allocator import Geometry
@@ -28,8 +29,8 @@ class Prediction:
 
     collective: float | None  # thrust setpoint at hover, None: it cannot hover
     thrust_ratio: float  # largest thrust over weight
-    bias: np.ndarray  # (3,) torque left over at hover
-    response: np.ndarray  # (3,) least over both directions
+    bias: NDArray[np.float64]  # (3,) torque left over at hover
+    response: NDArray[np.float64]  # (3,) least over both directions
     cross: float
 
     def fault(self, *, yaw: bool) -> str:
@@ -54,7 +55,7 @@ class Remedy:
     a burst of parameters in parts, up to a second apart.
     """
 
-    effectiveness: np.ndarray
+    effectiveness: NDArray[np.float64]
     yaw_released: bool
     first: int | None = None
 
@@ -77,11 +78,15 @@ class Advisor:
         found = self._hover(geometry, mix, ones)
         self._healthy = None if found[0] is None else self._responses(geometry, mix, ones, found[0])
 
-    def _wrench(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray, demand: np.ndarray) -> np.ndarray:
+    def _wrench(
+        self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64], demand: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """(4,) thrust, roll, pitch, yaw in normalised units of what the motors really give."""
         return self._vehicle.effectiveness @ (true * allocator.allocate(mix, demand, geometry))
 
-    def _hover(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray) -> tuple[float | None, float]:
+    def _hover(
+        self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64]
+    ) -> tuple[float | None, float]:
         """Least collective that carries the weight, and the largest thrust over weight."""
         collectives = np.linspace(0.0, 1.0, 51)
         thrust = np.array([self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -c]))[0] for c in collectives])
@@ -89,7 +94,9 @@ class Advisor:
         largest = float(thrust.max()) / self._vehicle.hover
         return (float(collectives[enough[0]]) if enough.size else None), largest
 
-    def _responses(self, geometry: Geometry, mix: np.ndarray, true: np.ndarray, collective: float) -> np.ndarray:
+    def _responses(
+        self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64], collective: float
+    ) -> NDArray[np.float64]:
         """(3, 2, 3) change of torque to a demand on each axis in both directions."""
         base = np.array([0, 0, 0, 0, 0, -collective], float)
         at_rest = self._wrench(geometry, mix, true, base)
@@ -101,7 +108,7 @@ class Advisor:
                 out[axis, k] = sign * (self._wrench(geometry, mix, true, demand) - at_rest)[1:]
         return out
 
-    def predict(self, told: np.ndarray, true: np.ndarray, *, yaw_released: bool) -> Prediction:
+    def predict(self, told: NDArray[np.float64], true: NDArray[np.float64], *, yaw_released: bool) -> Prediction:
         """With CT scaled by ``told`` (m,) when the motors really are ``true`` (m,)."""
         geometry = self._geometry.scaled(told, yaw_released=yaw_released)
         mix = allocator.mix_matrix(geometry)
@@ -117,7 +124,7 @@ class Advisor:
         )
         return Prediction(collective, ratio, bias, response, cross)
 
-    def _first(self, effectiveness: np.ndarray) -> int | None:
+    def _first(self, effectiveness: NDArray[np.float64]) -> int | None:
         """Which part of the burst the vehicle flies best with while the rest is not yet taken."""
         best: tuple[float, int | None] = (self._score(np.ones_like(effectiveness), effectiveness), None)
         for motor in np.flatnonzero(effectiveness < 1.0):
@@ -126,15 +133,15 @@ class Advisor:
             best = max(best, (self._score(told, effectiveness), int(motor)), key=lambda pair: pair[0])
         return best[1]
 
-    def _score(self, told: np.ndarray, true: np.ndarray) -> float:
+    def _score(self, told: NDArray[np.float64], true: NDArray[np.float64]) -> float:
         prediction = self.predict(told, true, yaw_released=False)
         return min(prediction.thrust_ratio, 1.05) - 2.0 * float(np.abs(prediction.bias).max())
 
-    def lifts(self, effectiveness: np.ndarray) -> bool:
+    def lifts(self, effectiveness: NDArray[np.float64]) -> bool:
         """Whether motors of ``effectiveness`` (m,) carry the weight, all at full output."""
         return float(self._vehicle.effectiveness[0] @ effectiveness) >= self._vehicle.hover
 
-    def remedy(self, effectiveness: np.ndarray) -> Remedy | NoRemedy:
+    def remedy(self, effectiveness: NDArray[np.float64]) -> Remedy | NoRemedy:
         """What to tell for true motor ``effectiveness`` (m,): the truth, or the truth without yaw, or nothing."""
         reason = ""
         for released in (False, True):
@@ -149,7 +156,7 @@ class Advisor:
 def geometry_of(values: dict[str, float], motors: int) -> Geometry:
     """Geometry from CA_* parameters. Raises KeyError for one that is missing."""
 
-    def column(*suffixes: str) -> np.ndarray:
+    def column(*suffixes: str) -> NDArray[np.float64]:
         return np.array([[values[f"CA_ROTOR{i}_{s}"] for s in suffixes] for i in range(motors)])
 
     return Geometry(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy
 
@@ -22,7 +23,7 @@ class RemedyBook:
         if self._ahead:
             self.of(self._ahead.pop())
 
-    def of(self, effectiveness: np.ndarray) -> Remedy | NoRemedy:
+    def of(self, effectiveness: NDArray[np.float64]) -> Remedy | NoRemedy:
         """Remedy for motor ``effectiveness`` (m,), computed when it is not known."""
         found = self._known.get(effectiveness.tobytes())
         if found is None:
@@ -32,7 +33,7 @@ class RemedyBook:
         return found
 
 
-def sets_ahead(motors: int) -> list[np.ndarray]:
+def sets_ahead(motors: int) -> list[NDArray[np.float64]]:
     """Effectiveness (m,) of every double and single failure, the singles last: they are taken from the end."""
     out = []
     for count in (2, 1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.px4.examination import Examined
 from nff_companion.autopilots.px4.parameter_change import ParameterChange
@@ -25,9 +26,10 @@ class Telling:
         self._change, self._record = change, record
         self._refused: Statement | None = None
         self._waits = False  # for the journal
-        self._attempted: np.ndarray | None = None  # (m,) last told, or found to be better left untold; None: nothing
+        # (m,) last told, or found to be better left untold; None: nothing
+        self._attempted: NDArray[np.float64] | None = None
         self._changed_s = -np.inf
-        self._declared: np.ndarray | None = None  # (m,) too soon after the last change
+        self._declared: NDArray[np.float64] | None = None  # (m,) too soon after the last change
         self._declared_s = -np.inf
 
     @property
@@ -43,12 +45,12 @@ class Telling:
         """What was declared too soon is not wanted any more."""
         self._declared = None
 
-    def take_over(self, shares: np.ndarray, now_s: float) -> None:
+    def take_over(self, shares: NDArray[np.float64], now_s: float) -> None:
         """An earlier run has told these ``shares`` (m,) of CT."""
         clipped = np.clip(shares, 0.0, 1.0)
         self._attempted, self._changed_s = np.where(clipped < _DEAD, 0.0, clipped), now_s
 
-    def tell(self, believed: np.ndarray, examined: Examined, now_s: float) -> list[Message]:
+    def tell(self, believed: NDArray[np.float64], examined: Examined, now_s: float) -> list[Message]:
         """Pass on ``believed`` (m,) effectiveness when it is new; else again what is not yet confirmed.
 
         At once when other motors are dead than at the last attempt; else on a large change, once a second.
@@ -70,7 +72,7 @@ class Telling:
         believed, self._declared = self._declared, None
         return self.tell(believed, examined, now_s) if now_s < self._declared_s + _PUT_OFF_MAX_S else []
 
-    def _attempt(self, believed: np.ndarray, examined: Examined, now_s: float) -> None:
+    def _attempt(self, believed: NDArray[np.float64], examined: Examined, now_s: float) -> None:
         if not self._record.covers(examined.found):
             # Nothing may be changed yet; the schedule repeats what is not confirmed.
             self._waits = True

@@ -61,7 +61,7 @@ class LuaHost:
 
     def __post_init__(self) -> None:
         try:
-            from lupa.lua53 import LuaRuntime  # type: ignore[import-untyped]
+            from lupa.lua53 import LuaRuntime
         except ImportError as error:
             raise MissingExtra("the ArduPilot personality needs lupa: pip install 'nff-companion[sim]'") from error
         runtime = self._runtime = LuaRuntime(encoding=None, unpack_returned_tuples=True)

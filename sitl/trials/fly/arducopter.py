@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.ardupilot.install import install, parameter_file
 from nff_companion.core import vehicle as vehicle_model
@@ -134,7 +135,7 @@ def companion_port(options: FlyOptions) -> int:
     return _PORT + 10 * options.instance + 2
 
 
-def square(centre: tuple[float, float, float]) -> np.ndarray:
+def square(centre: tuple[float, float, float]) -> NDArray[np.float64]:
     """(5, 3) corners of the square flown, the first one again at the end."""
     x, y, z = centre
     corners = [(0, 0), (_SIDE_M, 0), (_SIDE_M, _SIDE_M), (0, _SIDE_M), (0, 0)]
@@ -214,7 +215,7 @@ def take_off(pilot: Pilot, options: FlyOptions) -> None:
     )
 
 
-def _go(pilot: Pilot, corner: np.ndarray) -> None:
+def _go(pilot: Pilot, corner: NDArray[np.float64]) -> None:
     mask = 0b110111111000  # position alone
     pilot.send(
         dialect.MAVLink_set_position_target_local_ned_message(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.mavlink.codec import Message
 
@@ -53,7 +54,7 @@ class FlightRecord:
             elif (match := re.match(r"NFF: failed mask (\d+) at (\d+)", text)) is not None:
                 self.applied.append((1e-3 * int(match.group(2)), int(match.group(1))))
 
-    def summary(self, reference: np.ndarray | None, from_s: float, until_s: float) -> dict[str, Any]:
+    def summary(self, reference: NDArray[np.float64] | None, from_s: float, until_s: float) -> dict[str, Any]:
         """Crash, worst tilt, worst distance from ``reference`` (k, 3): the points of the intended path."""
         time_s, position = np.array(self.time_s), np.array(self.position_m).reshape(-1, 3)
         during = (time_s >= from_s) & (time_s <= until_s)
@@ -77,7 +78,7 @@ class FlightRecord:
         }
 
 
-def distance_to_path(points: np.ndarray, path: np.ndarray) -> np.ndarray:
+def distance_to_path(points: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:
     """(k,) distance of each point (k, 3) from a polyline (j, 3), or from its only point."""
     if len(path) == 1:
         return np.asarray(np.linalg.norm(points - path[0], axis=1))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.trials.paper.scenario import AFTER_S, GROUPS, HEIGHT_M, WINDOW_S, Trace
 
@@ -17,7 +18,7 @@ _DRAWS = 4000
 _STEP_S = 0.01  # of curves that are averaged over seeds
 
 
-def attitude_curve_deg(trace: Trace) -> np.ndarray:
+def attitude_curve_deg(trace: Trace) -> NDArray[np.float64]:
     """Size of the attitude error (L, 3) in the window after the failure, on a grid common to all flights. Moments at
     which the law did not close the loop have no error; a flight without any counts as crashed."""
     at = np.arange(0.0, WINDOW_S, _STEP_S)
@@ -31,7 +32,7 @@ def attitude_curve_deg(trace: Trace) -> np.ndarray:
     return curve
 
 
-def peak_deg(trace: Trace) -> np.ndarray:
+def peak_deg(trace: Trace) -> NDArray[np.float64]:
     """Largest attitude error (3,) in the window after the failure; of a flight that crashed later too."""
     inside = (trace.time_s >= 0.0) & (trace.time_s <= WINDOW_S) & np.isfinite(trace.attitude_error_deg).all(axis=1)
     if trace.crashed or not inside.any():
@@ -70,23 +71,23 @@ class Bootstrap:
         self._draw = np.random.default_rng(1).integers(seeds, size=(_DRAWS, seeds))
         self._share = np.stack([np.bincount(row, minlength=seeds) for row in self._draw]) / seeds
 
-    def means(self, values: np.ndarray) -> np.ndarray:
+    def means(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Means (draws, ...) of ``values`` (seeds, ...)."""
         flat = values.reshape(len(values), -1)
         return (self._share @ flat).reshape(_DRAWS, *values.shape[1:])
 
 
-def interval(values: np.ndarray) -> list[float]:
+def interval(values: NDArray[np.float64]) -> list[float]:
     """95 % of the drawn ``values``."""
     low, high = np.percentile(values, [2.5, 97.5])
     return [round(float(low), 4), round(float(high), 4)]
 
 
-def _by_axis(values: np.ndarray) -> dict[str, float]:
+def _by_axis(values: NDArray[np.float64]) -> dict[str, float]:
     return {axis: round(float(v), 4) for axis, v in zip(AXES, values, strict=True)}
 
 
-def _intervals(drawn: np.ndarray) -> dict[str, list[float]]:
+def _intervals(drawn: NDArray[np.float64]) -> dict[str, list[float]]:
     return {axis: interval(drawn[:, k]) for k, axis in enumerate(AXES)}
 
 
@@ -137,14 +138,14 @@ def document(traces: list[Trace]) -> dict[str, Any]:
     return out
 
 
-def _share(base: np.ndarray, ours: np.ndarray, best: np.ndarray) -> np.ndarray:
+def _share(base: NDArray[np.float64], ours: NDArray[np.float64], best: NDArray[np.float64]) -> NDArray[np.float64]:
     return (base - ours) / (base - best)
 
 
 def _details(row: _Flown, bootstrap: Bootstrap) -> dict[str, Any]:
     delays = [t.delay_s for t in row.traces if t.delay_s is not None]
 
-    def with_interval(values: np.ndarray) -> list[float]:
+    def with_interval(values: NDArray[np.float64]) -> list[float]:
         return [round(float(values.mean()), 4), *interval(bootstrap.means(values))]
 
     return {
@@ -163,7 +164,7 @@ def _details(row: _Flown, bootstrap: Bootstrap) -> dict[str, Any]:
 
 
 def _against(row: _Flown, base: _Flown, bootstrap: Bootstrap) -> dict[str, Any]:
-    def change(ours: np.ndarray, theirs: np.ndarray) -> tuple[float, list[float]]:
+    def change(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> tuple[float, list[float]]:
         drawn = bootstrap.means(ours) / bootstrap.means(theirs) - 1.0
         return round(float(ours.mean() / theirs.mean()) - 1.0, 4), interval(drawn)
 

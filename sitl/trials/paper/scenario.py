@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode
@@ -107,10 +108,10 @@ class Trace:
     """What one vehicle did. Times from the failure; rows at the companion's rate while it was up."""
 
     case: Case
-    time_s: np.ndarray  # (L,)
-    attitude_error_deg: np.ndarray  # (L, 3) roll, pitch, yaw, signed
-    position_error_m: np.ndarray  # (L,)
-    effectiveness: np.ndarray  # (L, m)
+    time_s: NDArray[np.float64]  # (L,)
+    attitude_error_deg: NDArray[np.float64]  # (L, 3) roll, pitch, yaw, signed
+    position_error_m: NDArray[np.float64]  # (L,)
+    effectiveness: NDArray[np.float64]  # (L, m)
     named: list[int]
     delay_s: float | None
     crashed: bool
@@ -191,7 +192,7 @@ class _Recorder:
 
     def __init__(self, case: Case) -> None:
         self._case, self._fault_s = case, case.fault_s
-        self._rows: list[tuple[float, np.ndarray, float, np.ndarray]] = []
+        self._rows: list[tuple[float, NDArray[np.float64], float, NDArray[np.float64]]] = []
 
     def add(self, fleet: Fleet, index: int, companion: TrialCompanion) -> None:
         """After each step of the companion."""
@@ -224,7 +225,7 @@ class _Recorder:
         )
 
 
-def _rotation_vector(matrix: np.ndarray) -> np.ndarray:
+def _rotation_vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of a rotation matrix (3, 3), rad."""
     part = 0.5 * np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
     sine = float(np.linalg.norm(part))

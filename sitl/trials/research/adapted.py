@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import DEFAULT
@@ -17,7 +19,7 @@ class AdaptedState:
     """Bhat of one flight, and its last good right inverse (m, n)."""
 
     matrix: FullMatrixState
-    last: np.ndarray | None = None
+    last: NDArray[np.float64] | None = None
 
 
 class AdaptedMatrix:
@@ -37,11 +39,13 @@ class AdaptedMatrix:
         matrix = self._adaptation.step(state.matrix, estimate.thrust_shown, estimate.raw * self._unit, dt_s)
         return AdaptedState(matrix, state.last)
 
-    def allocation(self, state: AdaptedState, fallback: np.ndarray) -> tuple[AdaptedState, np.ndarray]:
+    def allocation(
+        self, state: AdaptedState, fallback: NDArray[np.float64]
+    ) -> tuple[AdaptedState, NDArray[np.float64]]:
         """Bhat^R (m, n) by pseudo-inverse; the last good one, or ``fallback``, where Bhat has lost an axis."""
         matrix = self._nominal + state.matrix.matrix
         try:
-            inverse = np.linalg.pinv(matrix)
+            inverse = cast("NDArray[np.float64]", np.linalg.pinv(matrix))
         except np.linalg.LinAlgError:
             inverse = np.full_like(fallback, np.nan)
         if np.isfinite(inverse).all() and float(np.abs(inverse).max()) <= self._gain_max:

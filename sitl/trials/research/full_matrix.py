@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 
 class FullMatrixOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,13 +34,13 @@ class FullMatrixOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 class FullMatrixState:
     """S (m, m) and N (n, m)."""
 
-    information: np.ndarray
-    vector: np.ndarray
+    information: NDArray[np.float64]
+    vector: NDArray[np.float64]
 
     @property
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> NDArray[np.float64]:
         """Bbar (n, m)."""
-        return np.linalg.solve(self.information, self.vector.T).T
+        return cast("NDArray[np.float64]", np.linalg.solve(self.information, self.vector.T).T)
 
 
 class FullMatrix:
@@ -56,10 +58,10 @@ class FullMatrix:
     def step(
         self,
         state: FullMatrixState,
-        thrust: np.ndarray,
-        residual: np.ndarray,
+        thrust: NDArray[np.float64],
+        residual: NDArray[np.float64],
         dt_s: float,
-        tracking_error: np.ndarray | None = None,
+        tracking_error: NDArray[np.float64] | None = None,
     ) -> FullMatrixState:
         """One sample: ``thrust`` u (m,), ``residual`` y (n,), ``tracking_error`` s (n,), actual - reference."""
         o = self._options
@@ -73,7 +75,7 @@ class FullMatrix:
             keep * state.vector + gathered * np.outer(target, thrust),
         )
 
-    def rate(self, state: FullMatrixState, thrust: np.ndarray) -> float:
+    def rate(self, state: FullMatrixState, thrust: NDArray[np.float64]) -> float:
         """alpha (6.45) in 1/s: half the smallest eigenvalue of (u u^T + P^-1/l1 + l2/l1 I) relative to P^-1."""
         o = self._options
         s = state.information

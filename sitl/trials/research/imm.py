@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core.decision import DecisionState, Event
 from nff_companion.core.disturbance import Disturbance
@@ -81,10 +82,10 @@ class ImmEstimator:
     def start(
         self,
         time_s: float,
-        gyro: np.ndarray,
-        specific_force: np.ndarray,
-        command: np.ndarray,
-        failed: np.ndarray | None = None,
+        gyro: NDArray[np.float64],
+        specific_force: NDArray[np.float64],
+        command: NDArray[np.float64],
+        failed: NDArray[np.bool_] | None = None,
     ) -> ImmState:
         """State at the first sample."""
         decision = DecisionState.start(self.vehicle.motors)

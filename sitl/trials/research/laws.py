@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.core import sparse
 from nff_companion.core.estimate import Estimate
@@ -41,11 +42,11 @@ LAWS: dict[str, Parts] = {
 _FULL_AT, _NONE_BELOW = 0.75, 0.30  # zeta and xi of the paper's figures
 
 
-def shaped(estimate: Estimate) -> np.ndarray:
+def shaped(estimate: Estimate) -> NDArray[np.float64]:
     """The published way: allocate for the estimate itself (m,), shaped by (24); nothing is declared."""
     return sparse.shape(np.clip(estimate.effectiveness, 0.0, 1.0), _FULL_AT, _NONE_BELOW)
 
 
-def unshaped(estimate: Estimate) -> np.ndarray:
+def unshaped(estimate: Estimate) -> NDArray[np.float64]:
     """The same without the shaping."""
     return np.clip(estimate.effectiveness, 0.0, 1.0)
