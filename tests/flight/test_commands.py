@@ -46,7 +46,7 @@ class Desk:
         self.fleet = fleet
         (client,) = self.server._clients
         client.endpoint.close()
-        client.endpoint = self  # type: ignore[assignment]
+        client.endpoint = self  # type: ignore[assignment]  # as much of an endpoint as the server uses
         client.every.clear()
         self._pilot, self._parser = Codec(255, 190), Codec(255, 190)
         self._waiting: list[bytes] = []

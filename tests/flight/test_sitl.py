@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
 from sitl import airframe, rotation
@@ -232,26 +234,35 @@ def test_link_model_delays_loses_doubles_and_corrupts() -> None:
     assert 0.08 < sum(d != b"12345678" for d in got) / len(got) < 0.12
 
 
+@dataclass
+class Flown:
+    """A fleet after its flight, with each vehicle's largest tilt (deg) and excursion (m), (N,) each."""
+
+    fleet: Fleet
+    tilt: NDArray[np.float64]
+    off: NDArray[np.float64]
+
+
 @pytest.fixture(scope="module")
-def singles() -> Fleet:
+def singles() -> Flown:
     sets = [(motor, seed) for motor in range(1, 9) for seed in (1, 2, 3)]
     faults = [Fault(vehicle=k, motor=motor, start_s=5.0) for k, (motor, _) in enumerate(sets)]
     fleet = make(STOCK, vehicles=24, seeds=[s for _, s in sets], height_m=10.0, faults=faults)
-    fleet.tilt, fleet.off = np.zeros(24), np.zeros(24)  # type: ignore[attr-defined]
+    flown = Flown(fleet, np.zeros(24), np.zeros(24))
     for _ in range(400 * 25):
         fleet.step()
         if fleet.time_s > 5.0:
             tilt = np.degrees(rotation.tilt_of(fleet.state.quaternion))
             off = np.linalg.norm(fleet.state.position_m - fleet.autopilot.position.path, axis=1)
-            fleet.tilt, fleet.off = np.maximum(fleet.tilt, tilt), np.maximum(fleet.off, off)  # type: ignore[attr-defined]
-    return fleet
+            flown.tilt, flown.off = np.maximum(flown.tilt, tilt), np.maximum(flown.off, off)
+    return flown
 
 
-def test_single_failures_end_as_on_stock_arducopter(singles: Fleet) -> None:
-    print(f"median tilt {np.median(singles.tilt):.2f} deg, excursion {np.median(singles.off):.2f} m")  # type: ignore[attr-defined]
-    assert not singles.state.crashed.any()
-    assert np.median(singles.tilt) == pytest.approx(13.5, rel=0.3)  # type: ignore[attr-defined]
-    assert np.median(singles.off) == pytest.approx(0.94, rel=0.3)  # type: ignore[attr-defined]
+def test_single_failures_end_as_on_stock_arducopter(singles: Flown) -> None:
+    print(f"median tilt {np.median(singles.tilt):.2f} deg, excursion {np.median(singles.off):.2f} m")
+    assert not singles.fleet.state.crashed.any()
+    assert np.median(singles.tilt) == pytest.approx(13.5, rel=0.3)
+    assert np.median(singles.off) == pytest.approx(0.94, rel=0.3)
 
 
 def test_pairs_end_as_on_stock_arducopter() -> None:

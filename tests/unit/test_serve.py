@@ -106,20 +106,20 @@ def test_the_answer_is_what_the_interface_parses() -> None:
 # -- PX4 --------------------------------------------------------------------------------------------------------------
 
 
-def test_a_recorded_exchange_with_px4_is_repeated_byte_by_byte() -> None:
+def test_a_recorded_exchange_with_px4_is_repeated_byte_by_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     exchange = records("px4_hil_exchange.bin")  # what PX4 said in a frame (may be empty), then our frame
     assert len(exchange) >= 200
     server = Px4Server(physics("px4-octo-x"), port=free_port())
     parser = Codec(1, 200)
     sent: list[bytes] = []
-    server._send = lambda message: sent.append(server._codec.pack(message))  # type: ignore[method-assign]
+    monkeypatch.setattr(server, "_send", lambda message: sent.append(server._codec.pack(message)))
     answers: list[bytes] = []
 
     def receive(timeout_s: float) -> bool:
         taken = [server.take(message) for message in parser.parse(answers.pop(0))]
         return any(taken)
 
-    server._receive = receive  # type: ignore[method-assign]
+    monkeypatch.setattr(server, "_receive", receive)
     for k in range(0, len(exchange), 2):
         answers.append(exchange[k])
         sent.clear()
