@@ -39,7 +39,7 @@ FLOORS = (
     {"verdict", "announcer", "settings"},
     {"reporting"},
     {"session"},
-    {"daemon", "replay", "training"},
+    {"daemon", "replay", "training", "frames"},
     {"cli"},
 )
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.
