@@ -28,7 +28,7 @@ _PWM_SPAN_MIN_US = 100.0
 _SPIN_SPAN_MIN = 0.1
 _SAME_PLACE_M = 0.01
 
-Inertia = Annotated[float, span(1e-7, 2e4, "kg m^2", "about a principal axis")]
+Inertia = Annotated[float, span(1e-7, 3e5, "kg m^2", "about a principal axis")]
 Coordinate = Annotated[float, span(-10.0, 10.0, "m", "of the rotor's hub")]
 Filter = Annotated[float, span(0.0, 1000.0, "Hz", "cut-off of a second-order low-pass; 0: none, else at least 1")]
 Lag = Annotated[float, span(0.0, 1.0, "s", "time constant of thrust after command")]

@@ -184,7 +184,9 @@ def _motor(lines: _Lines, reading: Reading, size: Size, mass: Known, radius_m: f
         if drag is None
         else Known(drag.value * size.arm_m, drag.origin),
     )
-    lines.put("rotor_inertia_kg_m2", Known(2e-5 * (radius_m / _RADIUS_M) ** 5, f"{GUESSED}: the plant's own"))
+    lines.put(
+        "rotor_inertia_kg_m2", Known(min(2e-5 * (radius_m / _RADIUS_M) ** 5, 10.0), f"{GUESSED}: the plant's own")
+    )
     lines.put("max_speed_rad_s", Known(min(_TIP_M_S / radius_m, 9000.0), f"{GUESSED}: the plant's own"))
 
 

@@ -75,7 +75,8 @@ def _geometry(
     if not any(name.startswith("CA_ROTOR") and name.endswith(("_PX", "_PY")) for name in parameters.values):
         frame = named or _of_autostart(parameters)
         return frame.place, frame.spin, None
-    count = round(parameters.require("CA_ROTOR_COUNT", "save all parameters, or give the frame by name alone"))
+    parameters.require("CA_ROTOR_COUNT", "save all parameters, or give the frame by name alone")
+    count = parameters.whole("CA_ROTOR_COUNT") or 0
     if not MOTORS_MIN <= count <= MOTORS_MAX:
         raise parameters.error(f"CA_ROTOR_COUNT = {count}: between {MOTORS_MIN} and {MOTORS_MAX} can be handled")
     if parameters.whole("CA_R_REV"):
@@ -161,13 +162,13 @@ def _pulses(parameters: Parameters, motors: int, notes: list[str]) -> dict[str, 
         )
     out: dict[str, Known] = {}
     for end, default in _PULSES_US.items():
-        values = {n: parameters.get(f"PWM_{bank}_{end}{n}") for m, n in outputs.items() if m <= motors}
-        given = sorted({value for value in values.values() if value is not None})
-        if len(given) > 1:
-            raise parameters.error(
-                f"PWM_{bank}_{end}n differ, {given[0]:g} and {given[-1]:g}: give all motors the same"
-            )
-        out[end] = Known(given[0], f"PWM_{bank}_{end}n") if given else Known(default, _DEFAULT)
+        otherwise = Known(default, _DEFAULT)
+        names = [f"PWM_{bank}_{end}{output}" for motor, output in sorted(outputs.items()) if motor <= motors]
+        widths = {name: known(parameters, name, f"pwm_{end.lower()}", otherwise).value for name in names}
+        if len(set(widths.values())) > 1:
+            low, high = (choose(widths, key=widths.__getitem__) for choose in (min, max))
+            raise parameters.error(f"{low} = {widths[low]:g} and {high} = {widths[high]:g}: give all motors the same")
+        out[end] = Known(widths[names[0]], f"PWM_{bank}_{end}n") if names[0] in parameters else otherwise
     return out
 
 
