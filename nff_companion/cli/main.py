@@ -10,8 +10,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import typer
+from rich.text import Text
 
-from nff_companion.cli import bench, compare, flight, fly, learn, operate, trials
+from nff_companion.cli import airframe, bench, compare, flight, fly, learn, operate, trials
 from nff_companion.cli.output import console
 from nff_companion.errors import NffError
 
@@ -33,6 +34,7 @@ app.command("replay")(trials.replay)
 app.command("compare")(compare.compare)
 app.command("train")(learn.train)
 app.command("score")(learn.score_command)
+app.add_typer(airframe.app, name="airframe")
 app.add_typer(bench.app, name="bench")
 app.add_typer(fly.fly_app, name="fly")
 app.add_typer(fly.ardupilot_app, name="ardupilot")
@@ -43,7 +45,8 @@ def main() -> None:
     try:
         app()
     except NffError as error:
-        console.print(f"[red]nff:[/red] {error}", highlight=False, soft_wrap=True)
+        # The message may quote anything: brackets in it are no colours.
+        console.print(Text.assemble(("nff:", "red"), f" {error}"), highlight=False, soft_wrap=True)
         sys.exit(2)
 
 

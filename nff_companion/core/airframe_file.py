@@ -17,17 +17,20 @@ from nff_companion.core.tuning.span import span
 
 GRAVITY_M_S2 = 9.80665
 MOTORS_MIN, MOTORS_MAX = 4, 12  # four axes need as many; a matrix of 12 rows and 4 columns fills one message
+# Ranges, here and below, are what no multirotor on Earth leaves, from 27 g indoors to some tons with people aboard:
+# a number out of one of them has the wrong unit, or the decimal point in the wrong place.
 _ARM_M = (0.02, 10.0)
-_GYRATION_M = (1e-3, 10.0)
+_MASS_PER_ARM_SQUARED = (1.0, 1000.0)  # kg/m^2, of the farthest rotor's arm: real ones have 10 to 150
+_GYRATION_PER_ARM = (0.03, 3.0)  # 0.25 to 0.9
+_DRAG_PER_ARM = (1e-3, 0.5)  # torque over thrust over arm: 0.02 to 0.15
+_INERTIA_SUM_MIN = 0.9  # of two principal moments, over the third: 1 for every body, less by errors of measurement
 _HOVER = (0.05, 0.95)  # fraction of all thrust that carries the vehicle, exclusive
 _PWM_SPAN_MIN_US = 100.0
 _SPIN_SPAN_MIN = 0.1
 _SAME_PLACE_M = 0.01
 
-Inertia = Annotated[float, span(1e-7, 2e4, "kg m^2", "about a principal axis")]
+Inertia = Annotated[float, span(1e-7, 3e5, "kg m^2", "about a principal axis")]
 Coordinate = Annotated[float, span(-10.0, 10.0, "m", "of the rotor's hub")]
-Microseconds = Annotated[float, span(500.0, 2500.0, "us", "pulse width")]
-Fraction = Annotated[float, span(0.0, 1.0, "", "of the full motor output")]
 Filter = Annotated[float, span(0.0, 1000.0, "Hz", "cut-off of a second-order low-pass; 0: none, else at least 1")]
 Lag = Annotated[float, span(0.0, 1.0, "s", "time constant of thrust after command")]
 
@@ -37,7 +40,7 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Name
     source: Annotated[str, msgspec.Meta(max_length=2000)]
-    mass_kg: Annotated[float, span(0.05, 200.0, "kg", "of the whole vehicle as it flies")]
+    mass_kg: Annotated[float, span(0.02, 3000.0, "kg", "of the whole vehicle as it flies")]
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
     network: Text = ""  # basis network: a shipped name or a file beside this one; empty: a constant basis
 
@@ -45,22 +48,22 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[motor]``, the same for all rotors. Inertia and speed of the rotor are the plant's alone."""
 
-    max_thrust_n: Annotated[float, span(0.05, 2000.0, "N", "of one rotor at full output")]
+    max_thrust_n: Annotated[float, span(0.02, 20000.0, "N", "of one rotor at full output")]
     time_constant_up_s: Lag
     time_constant_down_s: Lag
     torque_per_thrust_m: Annotated[float, span(1e-4, 1.0, "m", "drag torque over thrust: what yaw is controlled with")]
-    rotor_inertia_kg_m2: Annotated[float, span(0.0, 1.0, "kg m^2", "of one rotor")] = 0.0
-    max_speed_rad_s: Annotated[float, span(10.0, 20000.0, "rad/s", "of one rotor at full output")] = 1000.0
+    rotor_inertia_kg_m2: Annotated[float, span(0.0, 10.0, "kg m^2", "of one rotor")] = 0.0
+    max_speed_rad_s: Annotated[float, span(10.0, 10000.0, "rad/s", "of one rotor at full output")] = 1000.0
 
 
 class CommandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``[command]``: from motor output to thrust."""
 
-    thrust_expo: Fraction
-    spin_min: Fraction
-    spin_max: Fraction
-    pwm_min: Microseconds
-    pwm_max: Microseconds
+    thrust_expo: Annotated[float, span(0.0, 1.0, "", "0: thrust is linear in the output, 1: quadratic")]
+    spin_min: Annotated[float, span(0.0, 0.5, "", "of the full motor output, where thrust begins")]
+    spin_max: Annotated[float, span(0.5, 1.0, "", "of the full motor output, where thrust is full")]
+    pwm_min: Annotated[float, span(500.0, 1700.0, "us", "pulse width of no output")]
+    pwm_max: Annotated[float, span(1300.0, 2500.0, "us", "pulse width of full output")]
 
 
 class TelemetryTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -149,13 +152,6 @@ def _faults(data: AirframeFile) -> Iterator[str]:
             yield f"telemetry.{key} = {value}: give 0 for no filter, or a number from 1 to 1000 Hz"
     if data.log is not None and (data.log.field.count("{}") != 1 or set("{}") & set(data.log.field.replace("{}", ""))):
         yield f"log.field = {data.log.field!r}: give a name with one {{}} where the motor's index belongs"
-    for axis, inertia in zip(("roll", "pitch", "yaw"), airframe.inertia_kg_m2, strict=True):
-        gyration = math.sqrt(inertia / airframe.mass_kg)
-        if not _GYRATION_M[0] <= gyration <= _GYRATION_M[1]:
-            yield (
-                f"airframe.inertia_kg_m2, {axis} = {inertia}: radius of gyration {gyration:.2g} m with"
-                f" airframe.mass_kg = {airframe.mass_kg}; from {_GYRATION_M[0]} to {_GYRATION_M[1]:g} m is allowed"
-            )
     hover = airframe.mass_kg * GRAVITY_M_S2 / (len(data.rotor) * data.motor.max_thrust_n)
     if not _HOVER[0] < hover < _HOVER[1]:
         yield (
@@ -163,6 +159,34 @@ def _faults(data: AirframeFile) -> Iterator[str]:
             f" {airframe.mass_kg} at {hover:.3g} of their thrust; between {_HOVER[0]} and {_HOVER[1]} is allowed"
         )
     yield from _faults_of_rotors(data, hover)
+
+
+def _faults_of_size(data: AirframeFile, arm: float) -> Iterator[str]:
+    """Numbers that do not go with each other; ``arm`` in m, of the farthest rotor."""
+    airframe, inertia = data.airframe, data.airframe.inertia_kg_m2
+    arms = f"of the farthest rotor's arm, {arm:.3g} m"
+    ratio, (low, high) = airframe.mass_kg / arm**2, _MASS_PER_ARM_SQUARED
+    if not low <= ratio <= high:
+        yield (
+            f"airframe.mass_kg = {airframe.mass_kg}: {ratio:.3g} kg/m^2 over the square {arms};"
+            f" {low:g} to {high:g} is allowed"
+        )
+    low, high = _GYRATION_PER_ARM
+    for axis, value in zip(("roll", "pitch", "yaw"), inertia, strict=True):
+        gyration = math.sqrt(value / airframe.mass_kg)
+        if not low <= gyration / arm <= high:
+            yield (
+                f"airframe.inertia_kg_m2, {axis} = {value}: radius of gyration {gyration:.2g} m with airframe.mass_kg ="
+                f" {airframe.mass_kg}; {low} to {high:g} {arms}, is allowed"
+            )
+        if sum(inertia) - value < _INERTIA_SUM_MIN * value:
+            yield f"airframe.inertia_kg_m2, {axis} = {value}: more than the other two together, which no body has"
+    ratio, (low, high) = data.motor.torque_per_thrust_m / arm, _DRAG_PER_ARM
+    if not low <= ratio <= high:
+        yield (
+            f"motor.torque_per_thrust_m = {data.motor.torque_per_thrust_m}: {ratio:.2g} {arms};"
+            f" {low} to {high} is allowed"
+        )
 
 
 def _faults_of_rotors(data: AirframeFile, hover: float) -> Iterator[str]:
@@ -176,6 +200,7 @@ def _faults_of_rotors(data: AirframeFile, hover: float) -> Iterator[str]:
         arm = math.hypot(*places[-1])
         if not _ARM_M[0] <= arm <= _ARM_M[1] * (1.0 + 1e-9):
             yield f"rotor[{number}]: {arm:.3g} m from the centre of mass; allowed from {_ARM_M[0]} to {_ARM_M[1]:g} m"
+    yield from _faults_of_size(data, max(math.hypot(*place) for place in places))
     spins = [rotor.spin for rotor in data.rotor]
     if len(set(spins)) < 2:
         yield f"rotor.spin = {spins[0]!r} of all: yaw needs rotors of both, 'cw' and 'ccw'"

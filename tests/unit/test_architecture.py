@@ -40,7 +40,7 @@ FLOORS = (
     {"reporting"},
     {"voice"},
     {"session"},
-    {"daemon", "replay", "training"},
+    {"daemon", "replay", "training", "frames"},
     {"cli"},
 )
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.

@@ -70,6 +70,7 @@ def having(text: str, **values: str) -> str:
 AIRFRAME_VALUES = [
     ("mass_kg", "5000"),
     ("mass_kg", "0.01"),
+    ("mass_kg", "2999"),
     ("mass_kg", "nan"),
     ("mass_kg", "-6.0"),
     ("mass_kg", '"6 kg"'),
@@ -82,6 +83,9 @@ AIRFRAME_VALUES = [
     ("inertia_kg_m2", "[0.17, nan, 0.32]"),
     ("inertia_kg_m2", "[0.17, 0.17, 1e6]"),
     ("inertia_kg_m2", "0.17"),
+    ("inertia_kg_m2", "[0.17, 0.17, 0.5]"),
+    ("inertia_kg_m2", "[0.001, 0.001, 0.002]"),
+    ("inertia_kg_m2", "[30.0, 30.0, 50.0]"),
     ("name", '""'),
     ("name", '"a\\u0000b"'),
     ("name", '"line\\nbreak"'),
@@ -91,34 +95,63 @@ AIRFRAME_VALUES = [
     ("max_thrust_n", "0"),
     ("max_thrust_n", "7.5"),
     ("max_thrust_n", "1000"),
+    ("max_thrust_n", "30000"),
+    ("max_thrust_n", "true"),
     ("time_constant_up_s", "-0.1"),
     ("time_constant_up_s", "1.5"),
+    ("time_constant_up_s", "3"),
     ("time_constant_down_s", "nan"),
+    ("time_constant_down_s", "3.0"),
+    ("time_constant_down_s", '"45 ms"'),
     ("torque_per_thrust_m", "0"),
     ("torque_per_thrust_m", "-0.018"),
     ("torque_per_thrust_m", "1.5"),
+    ("torque_per_thrust_m", "0.4"),
+    ("torque_per_thrust_m", "0.0002"),
+    ("torque_per_thrust_m", "[0.018]"),
     ("rotor_inertia_kg_m2", "inf"),
+    ("rotor_inertia_kg_m2", "-1e-5"),
+    ("rotor_inertia_kg_m2", "20"),
+    ("rotor_inertia_kg_m2", '"none"'),
     ("max_speed_rad_s", "0"),
+    ("max_speed_rad_s", "15000"),
+    ("max_speed_rad_s", "false"),
     ("thrust_expo", "1.5"),
+    ("thrust_expo", "-0.2"),
+    ("thrust_expo", "[0.65]"),
     ("spin_min", "0.95"),
     ("spin_min", "nan"),
+    ("spin_min", "-0.1"),
+    ("spin_min", "0.6"),
+    ("spin_min", '"low"'),
     ("spin_max", "0.1"),
+    ("spin_max", "0.4"),
     ("spin_max", "95"),
+    ("spin_max", "{}"),
     ("pwm_min", "2000"),
+    ("pwm_min", "1800"),
     ("pwm_min", "0"),
     ("pwm_min", "-inf"),
+    ("pwm_min", "true"),
     ("pwm_max", "1050"),
+    ("pwm_max", "1200"),
     ("pwm_max", "65535"),
+    ("pwm_max", '"2000 us"'),
     ("gyro_filter_hz", "0.5"),
+    ("gyro_filter_hz", '"off"'),
     ("gyro_filter_hz", "1e9"),
     ("gyro_filter_hz", "nan"),
     ("accelerometer_filter_hz", "-20"),
+    ("accelerometer_filter_hz", "5000"),
+    ("accelerometer_filter_hz", "[]"),
     ("drag_area_forward_m2", "[nan, 0, 0]"),
     ("angle_deg", "nan"),
     ("angle_deg", "1e300"),
     ("arm_m", "0.001"),
     ("arm_m", "50"),
     ("arm_m", "inf"),
+    ("arm_m", '"0.5 m"'),
+    ("angle_deg", "true"),
     ("spin", '"clockwise"'),
     ("source", "[]"),
 ]
@@ -135,6 +168,33 @@ def test_an_airframe_with_an_absurd_value_is_refused_by_file_key_and_value(
     assert str(path) in message
     assert key in message
     assert len(message) < 500
+
+
+def vehicle_of(arm_m: float, mass_kg: float, inertia: float, thrust_n: float, drag_m: float, lag_s: float) -> str:
+    """octo-x in the size of another vehicle; ``inertia`` about roll and pitch, twice that about yaw."""
+    text = having(
+        AIRFRAME,
+        mass_kg=str(mass_kg),
+        inertia_kg_m2=f"[{inertia}, {inertia}, {2 * inertia}]",
+        max_thrust_n=str(thrust_n),
+        torque_per_thrust_m=str(drag_m),
+        time_constant_up_s=str(lag_s),
+    )
+    return text.replace("arm_m = 0.5", f"arm_m = {arm_m}")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(vehicle_of(0.046, 0.027, 1.6e-5, 0.08, 0.006, 0.03), id="an indoor quadrotor of 27 g"),
+        pytest.param(vehicle_of(0.11, 0.7, 0.003, 6.0, 0.013, 0.02), id="a racer with 5 inch propellers"),
+        pytest.param(vehicle_of(1.1, 66.0, 15.0, 160.0, 0.06, 0.15), id="a sprayer with 38 inch propellers"),
+        pytest.param(vehicle_of(1.6, 360.0, 130.0, 800.0, 0.1, 0.2), id="one that carries a person"),
+        pytest.param(vehicle_of(3.5, 2200.0, 5000.0, 5000.0, 0.2, 0.3), id="one that carries four"),
+    ],
+)
+def test_the_smallest_and_the_largest_that_fly_are_admitted(tmp_path: Path, text: str) -> None:
+    assert vehicle.load(str(written(tmp_path / "extreme.toml", text))).motors == 8
 
 
 def _all_at_one_place(text: str) -> str:
@@ -166,6 +226,14 @@ AIRFRAME_SHAPES: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     "three rotors": (lambda t: "\n[[rotor]]".join(t.split("\n[[rotor]]")[:4]), "3"),
     "no rotors": (lambda t: t.split("\n[[rotor]]")[0], "rotor"),
     "thirteen rotors": (lambda t: t + 5 * '[[rotor]]\nangle_deg = 3\narm_m = 0.2\nspin = "cw"\n', "13"),
+    "heavier than its arms can be": (
+        lambda t: having(t, mass_kg="2000", max_thrust_n="5000", inertia_kg_m2="[60, 60, 110]"),
+        "mass_kg.*farthest",
+    ),
+    "lighter than its arms can be": (
+        lambda t: having(t, mass_kg="0.1", max_thrust_n="0.3", inertia_kg_m2="[0.003, 0.003, 0.005]"),
+        "mass_kg.*farthest",
+    ),
     "no arm": (lambda t: t.replace("arm_m = 0.5\n", "", 1), "arm_m"),
     "a key nobody knows": (lambda t: t.replace("mass_kg", "weight_kg"), "weight_kg|mass_kg"),
     "a table missing": (lambda t: t.replace("[telemetry]", "[other]"), "other|telemetry"),
