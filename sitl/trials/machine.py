@@ -56,7 +56,8 @@ def _reasons(f: Figures) -> list[str]:
     if f.clock_ratio < _CLOCK_RATIO:
         reasons.append(f"the vehicle's clock ran at {f.clock_ratio:.2f} of the wall clock")
     if f.late_cycles:
-        reasons.append(f"the vehicle was {f.late_cycles} times too late and lost {f.lost_s:.2f} s")
+        count = "once" if f.late_cycles == 1 else f"{f.late_cycles} times"
+        reasons.append(f"the vehicle stood still {count} and lost {f.lost_s:.2f} s")
     if f.rate_hz is None:
         reasons.append("the companion did not answer in time")
     # No telemetry at all is no matter of speed.
