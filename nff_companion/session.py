@@ -77,7 +77,13 @@ class Session:
         self._schedule = ScheduleState.start(companion.vehicle.motors)
         self._confirmation = Confirmation()
         self._unconfirmed_s: float | None = None
-        self._link = VehicleLink(meeting, system=options.system, component=options.component, rate_hz=options.rate_hz)
+        self._link = VehicleLink(
+            meeting,
+            system=options.system,
+            component=options.component,
+            rate_hz=options.rate_hz,
+            tuning=companion.tuning.sample_rate,
+        )
         self._met: Adapter | None = None  # the adapter that the state below belongs to
         self._met_system: int | None = None
         self._sample_s = -np.inf  # of our clock
@@ -318,6 +324,7 @@ class Session:
 
     def _rebuild(self, companion: Companion) -> None:
         self._companion = companion
+        self._link.retune(companion.tuning.sample_rate)
         self.reporter.built_for_hz = companion.rate_hz
 
     def _meet(self, adapter: Adapter | None, now_s: float) -> None:

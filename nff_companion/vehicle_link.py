@@ -17,6 +17,7 @@ from nff_companion.autopilots.port import PortChoice
 from nff_companion.autopilots.twins import Rank, Twins
 from nff_companion.condition import Condition, Reason, Statement, first
 from nff_companion.core.sample_rate import Agreement
+from nff_companion.core.tuning import SampleRateTuning
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.mavlink.services.streams import Stream, StreamMonitor
 from nff_companion.mavlink.services.timesync import TimeSync
@@ -36,11 +37,13 @@ class Outgoing:
 class VehicleLink:
     """``now_s`` of our clock; ``acting``: this flight is being helped, and nothing may change now."""
 
-    def __init__(self, meeting: Meeting, *, system: int, component: int, rate_hz: float) -> None:
+    def __init__(
+        self, meeting: Meeting, *, system: int, component: int, rate_hz: float, tuning: SampleRateTuning
+    ) -> None:
         """``system`` of the vehicle, 0: the one that is heard; ``component``: ours; ``rate_hz`` to be asked for."""
         self._adoption, self._twins = Adoption(meeting, system), Twins(meeting.instance)
         self._sync, self._streams, self._ports = TimeSync(component), StreamMonitor(), PortChoice()
-        self._asked_hz, self._rate = rate_hz, Agreement(rate_hz)
+        self._asked_hz, self._tuning, self._rate = rate_hz, tuning, Agreement(rate_hz, tuning)
         self._met: Adapter | None = None  # the adapter that streams, port and rate belong to
         self._met_system: int | None = None
         self._asked_who_s = -float("inf")
@@ -164,6 +167,11 @@ class VehicleLink:
         self._rate.restart()
         self._streams.ask_again()
 
+    def retune(self, tuning: SampleRateTuning) -> None:
+        """Other numbers from now on: the rate is measured anew."""
+        if tuning != self._tuning:
+            self._tuning, self._rate = tuning, Agreement(self._rate.agreed_hz, tuning)
+
     # -- time passes --------------------------------------------------------------------------------------------
 
     def tick(self, now_s: float, *, acting: bool) -> None:
@@ -198,7 +206,7 @@ class VehicleLink:
         self._streams.ask_again()
         self._ports = PortChoice()
         self._sync.adopt(adapter.target[0])
-        self._rate = Agreement(_sample_rate(self._wanted(adapter), self._asked_hz))
+        self._rate = Agreement(_sample_rate(self._wanted(adapter), self._asked_hz), self._tuning)
 
 
 def _sample_rate(streams: Iterable[Stream], otherwise_hz: float) -> float:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections import deque
 from itertools import pairwise
 
-TOLERANCE = 0.10  # samples that come at another rate than was agreed by more than this are refused
-_SAME = 0.01  # less is jitter
-_COUNT = 100  # intervals: the median of so many is steady under jitter, and under losses of a third
-_LEAST = 20
+from nff_companion.core.tuning import DEFAULT, SampleRateTuning
 
 
 class SampleRate:
     """Median of the last intervals."""
 
-    def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_COUNT + 1)
+    def __init__(self, tuning: SampleRateTuning = DEFAULT.sample_rate) -> None:
+        self._least = tuning.intervals_least
+        self._times: deque[float] = deque(maxlen=tuning.intervals + 1)
         self._since = 0
         self._rate_hz: float | None = None
 
@@ -36,9 +34,9 @@ class SampleRate:
     @property
     def hz(self) -> float | None:
         """The rate; None until enough has been heard. Measured anew every few samples."""
-        if len(self._times) <= _LEAST:
+        if len(self._times) <= self._least:
             return None
-        if self._rate_hz is None or self._since >= _LEAST:
+        if self._rate_hz is None or self._since >= self._least:
             times = list(self._times)
             gaps = sorted(after - before for before, after in pairwise(times))
             self._rate_hz, self._since = 1.0 / gaps[len(gaps) // 2], 0
@@ -48,9 +46,9 @@ class SampleRate:
 class Agreement:
     """The rate that was agreed with the autopilot, and the one that comes."""
 
-    def __init__(self, agreed_hz: float) -> None:
-        self.agreed_hz = agreed_hz
-        self._measured = SampleRate()
+    def __init__(self, agreed_hz: float, tuning: SampleRateTuning = DEFAULT.sample_rate) -> None:
+        self.agreed_hz, self._tuning = agreed_hz, tuning
+        self._measured = SampleRate(tuning)
 
     def add(self, time_s: float) -> None:
         """One sample."""
@@ -63,11 +61,11 @@ class Agreement:
     def build_for(self, built_hz: float) -> float:
         """Rate that an estimator built for ``built_hz`` should be built for, between flights."""
         measured = self._measured.hz
-        if measured is None or abs(measured / self.agreed_hz - 1.0) > TOLERANCE:
+        if measured is None or abs(measured / self.agreed_hz - 1.0) > self._tuning.off_share:
             return built_hz
-        return measured if abs(measured / built_hz - 1.0) > _SAME else built_hz
+        return measured if abs(measured / built_hz - 1.0) > self._tuning.same_share else built_hz
 
     def off_hz(self, built_hz: float) -> float | None:
         """The rate measured, where it is not the one that the estimator was built for."""
         measured = self._measured.hz
-        return None if measured is None or abs(measured / built_hz - 1.0) <= TOLERANCE else measured
+        return None if measured is None or abs(measured / built_hz - 1.0) <= self._tuning.off_share else measured

@@ -24,6 +24,7 @@ from nff_companion.core.tuning.estimation import (
     DisturbanceTuning,
     NetworkTuning,
     ResidualTuning,
+    SampleRateTuning,
     SparseTuning,
 )
 from nff_companion.core.tuning.relations import check_relations
@@ -44,6 +45,7 @@ __all__ = [
     "PlannerTuning",
     "ResidualTuning",
     "RotorSpeedTuning",
+    "SampleRateTuning",
     "SparseTuning",
     "Tuning",
     "check",
@@ -62,6 +64,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     decision: DecisionTuning = DecisionTuning()
     estimator: EstimatorTuning = EstimatorTuning()
     rotor_speed: RotorSpeedTuning = RotorSpeedTuning()
+    sample_rate: SampleRateTuning = SampleRateTuning()
     flight_phase: FlightPhaseTuning = FlightPhaseTuning()
     planner: PlannerTuning = PlannerTuning()
     override: OverrideTuning = OverrideTuning()

@@ -145,3 +145,18 @@ class SparseTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     free_max: Annotated[
         float, span(1.0, 2.0, "", "largest effectiveness that a declared motor's free coefficient is read as")
     ] = 1.2
+
+
+class SampleRateTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """At which rate samples really come (core/sample_rate.py)."""
+
+    off_share: Annotated[
+        float, span(0.02, 0.5, "", "off the rate that the estimator is built for: more, and it only observes")
+    ] = 0.10
+    same_share: Annotated[
+        float, span(0.001, 0.1, "", "off it between flights: less is jitter, for more the estimator is built anew")
+    ] = 0.01
+    intervals: Annotated[
+        int, span(20, 1000, "intervals", "of which the median counts: steady under jitter and losses of a third")
+    ] = 100
+    intervals_least: Annotated[int, span(5, 500, "intervals", "before anything is said of the rate")] = 20

@@ -44,6 +44,8 @@ RELATIONS = (
     Relation("estimator.freeze_max_s", "estimator.freeze_sure_s", "what is sure is kept from phi a for longer"),
     Relation("rotor_speed.stopped_share", "rotor_speed.turning_share", "stopped is not turning", equal=False),
     Relation("rotor_speed.fresh_s", "rotor_speed.frozen_s", "a reading grows old before its sender has stopped"),
+    Relation("sample_rate.same_share", "sample_rate.off_share", "what is the same is not off"),
+    Relation("sample_rate.intervals_least", "sample_rate.intervals", "so many are kept"),
     Relation("flight_phase.ended_share", "flight_phase.thrust_share", "a flight that began has not ended", equal=False),
     Relation("flight_phase.sure_after_s", "flight_phase.assumed_after_s", "an assumption needs longer"),
     Relation("flight_phase.height_m", "flight_phase.impact_below_m", "what was hit near the ground is the ground"),
