@@ -12,7 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import typer
 
 from nff_companion.cli import bench, compare, flight, fly, learn, operate, trials
-from nff_companion.cli.output import console
+from nff_companion.cli.output import say_error
 from nff_companion.errors import NffError
 
 app = typer.Typer(
@@ -43,7 +43,7 @@ def main() -> None:
     try:
         app()
     except NffError as error:
-        console.print(f"[red]nff:[/red] {error}", highlight=False, soft_wrap=True)
+        say_error(str(error))
         sys.exit(2)
 
 

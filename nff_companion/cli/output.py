@@ -14,6 +14,7 @@ from logging.handlers import QueueHandler, QueueListener
 from typing import Any
 
 from rich.console import Console
+from rich.text import Text
 
 console = Console(stderr=True)
 
@@ -106,6 +107,16 @@ def setup_logging(level: int = logging.INFO) -> None:
     logging.captureWarnings(True)
     writer.start()
     atexit.register(writer.stop)
+
+
+def say(text: str) -> None:
+    """A line on standard error, as it stands: texts of others are no markup."""
+    console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+def say_error(text: str) -> None:
+    """The same, with who says it in red."""
+    console.print(Text.assemble(("nff:", "red"), " ", text), soft_wrap=True)
 
 
 def print_json(document: dict[str, Any]) -> None:

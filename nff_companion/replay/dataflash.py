@@ -20,7 +20,16 @@ from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import ardupilot
-from nff_companion.replay.flight import OUTPUT_GAP_MAX_S, Frame, LogFlight, Row, check_rate, interpolated, newest
+from nff_companion.replay.flight import (
+    OUTPUT_GAP_MAX_S,
+    Frame,
+    LogFlight,
+    Reading,
+    Row,
+    interpolated,
+    newest,
+    rate_of_outputs,
+)
 from nff_companion.replay.parameters import Parameters
 
 Table = NDArray[np.float64]  # (K, 1 + fields), the time in s first
@@ -150,7 +159,7 @@ def flights(path: Path) -> list[LogFlight]:
     ]
 
 
-def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, float], frame: Frame | None) -> list[Row]:
+def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, float], frame: Frame | None) -> Reading:
     """A row of the first IMU. Raises NotJudged."""
     tables = log.tables
     for name in ("IMU", "RCOU"):
@@ -166,7 +175,7 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
             " which output drives which motor is not known"
         )
     imu, outputs, time_s = tables["IMU"], tables["RCOU"], tables["IMU"][:, 0]
-    check_rate(outputs[:, 0], "RCOU")
+    outputs_hz = rate_of_outputs(outputs[:, 0], "RCOU")
     output = vehicle.output_of_pwm(interpolated(outputs[:, 0], outputs[:, 1:], time_s)[:, channels])
     output[_far(outputs[:, 0], time_s)] = np.nan
     attitude = _first(tables, "XKQ", "NKQ")
@@ -178,7 +187,7 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
     speed, read_s = _speeds(tables.get("ESC"), channels, time_s)
     switch = newest(armings[:, 0], time_s)
     armed = np.where(switch >= 0, armings[switch, 1] > 0.0, True) if len(armings) else np.ones(len(time_s), bool)
-    return [
+    rows: list[Row] = [
         (
             float(time_s[k]),
             Sample(
@@ -196,6 +205,24 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
         )
         for k in range(len(time_s))
     ]
+    end_s = _valid_until(log, armings, vehicle, channels)
+    return Reading([row for row in rows if row[0] < end_s], "RCOU", outputs_hz)
+
+
+def _valid_until(log: _Log, armings: Table, vehicle: Vehicle, channels: list[int]) -> float:
+    """The arming from which on the log's parameters are others, that contradict the airframe."""
+    for time_s, on in armings[1:]:
+        if not on:
+            continue
+        values = log.parameters.at(time_s)
+        try:
+            same = ardupilot.channels(values, vehicle.motors, _SERVOS) == channels
+        except NotJudged:
+            same = False
+        if not same or ardupilot.misfit(values, vehicle, None):
+            log.notes.append(f"from {time_s:.0f} s on, the next arming, the parameters are others: not read")
+            return float(time_s)
+    return np.inf
 
 
 def _far(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -31,10 +31,19 @@ class Frame:
     frame_type: int | None = None
 
 
+@dataclass(frozen=True)
+class Reading:
+    """``rows`` in the order of the log; ``outputs_hz`` at which the message ``outputs`` has the motors' outputs."""
+
+    rows: list[Row]
+    outputs: str
+    outputs_hz: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class LogFlight:
-    """``read`` gives [(time of arrival, sample)] of an airframe; it raises LogError, and NotJudged with what is missing
-    or contradicts the airframe. ``fit`` is the airframe behind the filters that the log tells of."""
+    """``read`` gives the samples for an airframe; it raises LogError, and NotJudged with what is missing or contradicts
+    the airframe. ``fit`` is the airframe behind the filters that the log tells of."""
 
     path: Path
     autopilot: Literal["ardupilot", "px4", ""]  # empty: another, or not known
@@ -43,7 +52,7 @@ class LogFlight:
     frame: Frame | None
     first_s: float  # the first record
     take_off_s: float  # parameters count as they were then
-    read: Callable[[Vehicle], list[Row]]
+    read: Callable[[Vehicle], Reading]
     fit: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
     notes: list[str] = field(default_factory=list)  # what of the file could not be read
 
@@ -53,8 +62,9 @@ class LogFlight:
         return str(self.path) if self.system is None else f"{self.path} (system {self.system})"
 
 
-def check_rate(time_s: NDArray[np.float64], name: str) -> None:
-    """Raises NotJudged where motor outputs at ``time_s`` (K,), of the message ``name``, come too seldom for anything."""
+def rate_of_outputs(time_s: NDArray[np.float64], name: str) -> float:
+    """Hz of motor outputs at ``time_s`` (K,), of the message ``name``. Raises NotJudged where it is too low for
+    anything."""
     gaps = np.diff(time_s)
     gaps = gaps[gaps > 0.0]
     if len(gaps) == 0:
@@ -63,6 +73,7 @@ def check_rate(time_s: NDArray[np.float64], name: str) -> None:
     if gap_s > OUTPUT_GAP_MAX_S:
         least = 1.0 / OUTPUT_AGE_MAX_S
         raise NotJudged(f"{name} at {1.0 / gap_s:.2g} Hz: motor outputs at {least:.0f} Hz or more are needed")
+    return 1.0 / gap_s
 
 
 def newest(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.int64]:

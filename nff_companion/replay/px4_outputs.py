@@ -23,6 +23,8 @@ _PULSES_US = (700.0, 2300.0)
 _DSHOT_MAX, _CAN_MAX = 1999.0, 8191.0
 _ONE = 1.01
 _NOT_OURS = "SIM"  # outputs of simulators are speeds
+_TIMERS, _DIGITAL = 8, -1.0  # PWM_MAIN_TIMn below it: DShot; -1: OneShot
+_DOUBTFUL = 0.7  # logarithm of twice the weight, or half of it
 _DRIVEN_SHARE = 0.5  # of the time that it is armed
 
 
@@ -174,26 +176,58 @@ def _in_unit(
     values: Mapping[str, float],
     vehicle: Vehicle,
 ) -> Commands:
-    """As ``output`` or ``pwm``. Raises NotJudged."""
+    """As ``output`` or ``pwm``; ``armed`` (L, m) are the rows while it is armed. Raises NotJudged."""
     low, high = float(np.percentile(armed[armed > 0.0], 1)), float(armed.max())
     if high <= _ONE:
         return Commands(commands.time_s, np.clip(commands.values, 0.0, 1.0), "output", commands.name)
-    if _PULSES_US[0] <= low and high <= _PULSES_US[1]:
-        # The live link's check, of the channels where the motors are; -1: the common range of before 1.13.
-        told = {f"PWM_MAIN_{what}{k + 1}": values.get(f"{prefix}_{what}{channel + 1}", -1.0)
-                for what in ("MIN", "MAX") for k, channel in enumerate(channels)}  # fmt: skip
-        wrong = outputs.contradiction({name: value for name, value in told.items() if value > 0.0}, vehicle)
-        if wrong:
-            raise NotJudged(wrong.replace("PWM_MAIN", prefix))
-        return Commands(commands.time_s, commands.values, "pwm", commands.name)
-    if high <= _DSHOT_MAX:
-        idle = _DSHOT_MAX * values.get("DSHOT_MIN", 0.0)
-        full = np.full(len(channels), _DSHOT_MAX)
-        least = np.full(len(channels), idle)
-    elif high <= _CAN_MAX:
-        full = np.array([values.get(f"{prefix}_MAX{channel + 1}", _CAN_MAX) for channel in channels])
-        least = np.array([values.get(f"{prefix}_MIN{channel + 1}", 0.0) for channel in channels])
-    else:
+    ranges = _ranges(prefix, channels, values, vehicle)
+    if not _PULSES_US[0] <= low <= high <= _PULSES_US[1]:
+        ranges.pop("pwm", None)
+    if high > _DSHOT_MAX:
+        ranges.pop("dshot", None)
+    if high > _CAN_MAX or not ranges:
         raise NotJudged(f"{commands.name} goes up to {high:.0f}: in which unit? Set [log] in the airframe file")
-    output = np.clip((commands.values - least) / (full - least), 0.0, 1.0)
-    return Commands(commands.time_s, output, "output", commands.name)
+
+    def shares(unit: str) -> NDArray[np.float64]:
+        least, full = ranges[unit]
+        return np.asarray(np.clip((commands.values - least) / (full - least), 0.0, 1.0))
+
+    def hovers(unit: str) -> float:
+        """How far from weight the vehicle's thrust would be, were this the unit."""
+        least, full = ranges[unit]
+        thrust = vehicle.thrust_fraction((armed - least) / (full - least)).mean(axis=1)
+        return abs(float(np.log(max(float(np.percentile(thrust, 70)), 1e-6) / vehicle.hover)))
+
+    units = list(ranges)
+    unit = units[0] if len(units) == 1 or hovers(units[0]) < _DOUBTFUL else min(units, key=hovers)
+    if unit != "pwm":
+        return Commands(commands.time_s, shares(unit), "output", commands.name)
+    # The live link's check, of the channels where the motors are; -1: the common range of before 1.13.
+    told = {
+        f"PWM_MAIN_{what}{motor + 1}": values.get(f"{prefix}_{what}{channel + 1}", -1.0)
+        for what in ("MIN", "MAX")
+        for motor, channel in enumerate(channels)
+    }
+    wrong = outputs.contradiction({name: value for name, value in told.items() if value > 0.0}, vehicle)
+    if wrong:
+        raise NotJudged(wrong.replace("PWM_MAIN", prefix))
+    return Commands(commands.time_s, commands.values, "pwm", commands.name)
+
+
+def _ranges(
+    prefix: str, channels: list[int], values: Mapping[str, float], vehicle: Vehicle
+) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """(output of standstill, full output) of each motor, by units that the driver may have; the likeliest first."""
+    ones = np.ones(len(channels))
+    least = [values.get(f"{prefix}_MIN{channel + 1}", 0.0) for channel in channels]
+    most = [values.get(f"{prefix}_MAX{channel + 1}", _CAN_MAX) for channel in channels]
+    all_units = {
+        "pwm": (ones * vehicle.command.pwm_min, ones * vehicle.command.pwm_max),
+        "dshot": (ones * _DSHOT_MAX * values.get("DSHOT_MIN", 0.0), ones * _DSHOT_MAX),
+        "can": (np.array(least), np.array(most)),
+    }
+    if not prefix:
+        return all_units
+    digital = any(values.get(f"{prefix}_TIM{k}", 0.0) < _DIGITAL for k in range(_TIMERS))
+    unit = "pwm" if prefix.startswith("PWM") and not digital else "dshot" if prefix.startswith("PWM") else "can"
+    return {unit: all_units[unit]}

@@ -18,7 +18,7 @@ from nff_companion.errors import LogError, NotJudged
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.services.parameter_reader import decode, name_of
 from nff_companion.replay import ardupilot
-from nff_companion.replay.flight import Frame, LogFlight, Row, check_rate
+from nff_companion.replay.flight import Frame, LogFlight, Reading, Row, rate_of_outputs
 from nff_companion.replay.parameters import Parameters
 
 _STAMP = struct.Struct(">Q")
@@ -154,9 +154,7 @@ def flights(path: Path) -> list[LogFlight]:
     notes = [f"{records.skipped} bytes belong to no record and were passed over"] if records.skipped else []
     vehicles = {system: one for system, one in sorted(heard.items()) if one.vehicle}
     # Whoever sends samples and no heartbeat is somebody to be spoken of, where nobody else is a vehicle.
-    vehicles = vehicles or {
-        system: one for system, one in sorted(heard.items()) if one.vehicle is None and one.messages
-    }
+    vehicles = vehicles or {system: one for system, one in sorted(heard.items()) if one.vehicle is None}
     if not vehicles or first_s is None:
         raise NotJudged(f"{path}: no autopilot of a multirotor is heard (HEARTBEAT of component 1)")
     return [_flight(path, system, one, first_s, notes) for system, one in vehicles.items()]
@@ -189,7 +187,7 @@ def _flight(path: Path, system: int, heard: _Heard, first_s: float, notes: list[
     )
 
 
-def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, take_off_s: float) -> list[Row]:
+def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, take_off_s: float) -> Reading:
     """By the decoder of the live link. Raises NotJudged."""
     for name in ("HEARTBEAT", "HIGHRES_IMU", "SERVO_OUTPUT_RAW"):
         if not heard.counts.get(name):
@@ -203,11 +201,11 @@ def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, take_off_s: floa
         channels = ardupilot.channels(values, vehicle.motors, _SERVOS)
     sent = [(s, m.time_usec) for s, m in heard.messages if m.get_type() == "SERVO_OUTPUT_RAW" and m.port == 0]
     fresh = [after[0] for before, after in pairwise(sent) if after[1] != before[1]]
-    check_rate(np.array(fresh), "SERVO_OUTPUT_RAW")
+    outputs_hz = rate_of_outputs(np.array(fresh), "SERVO_OUTPUT_RAW")
     decoder = TelemetryDecoder(vehicle, channels)
     rows: list[Row] = []
     for stamp, message in heard.messages:
         sample = decoder.observe(message)
         if sample is not None:
             rows.append((stamp, sample))
-    return rows
+    return Reading(rows, "SERVO_OUTPUT_RAW", outputs_hz)

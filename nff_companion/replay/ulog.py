@@ -15,7 +15,16 @@ from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import px4_outputs
-from nff_companion.replay.flight import OUTPUT_GAP_MAX_S, Frame, LogFlight, Row, check_rate, interpolated, newest
+from nff_companion.replay.flight import (
+    OUTPUT_GAP_MAX_S,
+    Frame,
+    LogFlight,
+    Reading,
+    Row,
+    interpolated,
+    newest,
+    rate_of_outputs,
+)
 from nff_companion.replay.parameters import Parameters
 from nff_companion.replay.px4_outputs import Commands, Topic, Topics, columns, time_of
 
@@ -85,13 +94,13 @@ def _switches(topics: Topics) -> NDArray[np.float64] | None:
 
 def _rows(
     topics: Topics, values: Mapping[str, float], switches: NDArray[np.float64] | None, vehicle: Vehicle
-) -> list[Row]:
+) -> Reading:
     """A row of ``sensor_combined``. Raises NotJudged."""
     imu = topics.get((_IMU, 0))
     if imu is None:
         raise NotJudged(f"the log lacks topic {_IMU}: log it")
     commands = px4_outputs.find(topics, values, vehicle, switches)
-    check_rate(commands.time_s, commands.name)
+    outputs_hz = rate_of_outputs(commands.time_s, commands.name)
     time_s = time_of(imu)
     gyro = columns(imu, "gyro_rad[{}]", [0, 1, 2], _IMU)
     force = columns(imu, "accelerometer_m_s2[{}]", [0, 1, 2], _IMU)
@@ -103,7 +112,7 @@ def _rows(
     positions = _positions(topics, time_s)
     attitudes = _attitudes(topics, time_s)
     speed, read_s = _speeds(topics.get(("esc_status", 0)), vehicle.motors, time_s)
-    return [
+    rows: list[Row] = [
         (
             float(time_s[k]),
             Sample(
@@ -122,6 +131,7 @@ def _rows(
         )
         for k in range(len(time_s))
     ]
+    return Reading(rows, commands.name, outputs_hz)
 
 
 def _asked(

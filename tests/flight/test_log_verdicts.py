@@ -354,7 +354,6 @@ def test_real_healthy_flights_with_sparse_outputs_declare_nothing(name: str) -> 
 @needs_reports
 def test_a_quadrotor_that_spins_without_a_rotor_is_not_called_healthy() -> None:
     said = Said(REPORTS / "missed_spinning_rotor" / "rotor1.ulg", airframe="h250")
-    (flight,) = said.flights
     if said.code == 1:
         assert said.motors() == [1]
     else:

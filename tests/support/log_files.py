@@ -101,7 +101,7 @@ class Outputs:
         self.of_pwm, self.topic, self.idle_instance, self.first, self.every = of_pwm, topic, idle_instance, first, every
 
 
-def ulog(  # noqa: PLR0913, one for each thing that is changed
+def ulog(
     path: Path,
     outputs: Outputs | None = None,
     *,
@@ -171,6 +171,7 @@ _BIN = {
 _BYTES = {"Q": "Q", "B": "B", "f": "f", "H": "H", "N": "16s", "I": "I"}
 _HEAD = b"\xa3\x95"
 GOOD_PARAMETERS: dict[str, float] = {"FRAME_CLASS": 3.0, "FRAME_TYPE": 1.0, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
+GOOD_PARAMETERS |= {"MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
 GOOD_PARAMETERS |= {f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 9)}
 
 
@@ -180,9 +181,9 @@ class DataFlashFile:
     def __init__(self, *, old: bool = False) -> None:
         self.body, self._old = b"", old
         self._format(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
-        for name, (number, layout, columns) in _BIN.items():
-            if old:
-                layout, columns = "I" + layout[1:], columns.replace("TimeUS", "TimeMS")
+        for name, (number, new_layout, new_columns) in _BIN.items():
+            layout = "I" + new_layout[1:] if old else new_layout
+            columns = new_columns.replace("TimeUS", "TimeMS") if old else new_columns
             size = 3 + struct.calcsize("<" + "".join(_BYTES[c] for c in layout))
             self._format(number, size, name, layout, columns)
 
