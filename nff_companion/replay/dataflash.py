@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,8 @@ from nff_companion.replay.parameters import Parameters
 Table = NDArray[np.float64]  # (K, 1 + fields), the time in s first
 _ARMED, _DISARMED = 10, 11  # EV ids (AP_Logger LogEvent)
 _SERVOS = 14
+_HEAD, _FMT, _FMT_SIZE = b"\xa3\x95", 0x80, 89
+_PAGE = 528  # of logs that are written in blocks
 _RPM = 2.0 * np.pi / 60.0
 # Message: what it is kept as, its fields. EKF2 was in front of EKF3 before 4.1.
 _STATE, _ATTITUDE = ("PN", "PE", "PD", "VN", "VE", "VD"), ("Q1", "Q2", "Q3", "Q4")
@@ -68,32 +72,69 @@ def _read(path: Path) -> _Log:
     from pymavlink import DFReader
 
     rows: dict[str, list[list[float]]] = {}
-    log, printed, at_s = _Log(), io.StringIO(), 0.0
+    log, printed = _Log(), io.StringIO()
+    whole, lost = _whole(path)
+    if lost:
+        log.notes.append(f"{lost} bytes belong to no record and were passed over")
     try:
-        # The reader tells of what it cannot read byte by byte, on both streams.
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            reader = DFReader.DFReader_binary(str(path))
-            while (message := reader.recv_match(type=[*_TABLES, "PARM"])) is not None:
-                kind = message.get_type()
-                fields = message.get_fieldnames()
-                if "TimeUS" in fields:
-                    at_s = 1e-6 * message.TimeUS
-                elif "TimeMS" in fields:  # before 2015
-                    at_s = 1e-3 * message.TimeMS
-                if kind == "PARM":
-                    log.parameters.put(at_s, message.Name, float(message.Value))
-                elif getattr(message, "I", 0) == 0 and getattr(message, "C", 0) == 0:
-                    name, wanted = _TABLES[kind]
-                    rows.setdefault(name, []).append([at_s, *(_value(message, f) for f in wanted)])
+        with tempfile.NamedTemporaryFile(suffix=".bin") as clean:
+            if lost:
+                # The reader complains of each byte, from compiled code too, and gives up at an unknown record.
+                clean.write(whole)
+                clean.flush()
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                _take(DFReader.DFReader_binary(clean.name if lost else str(path)), log, rows)
     except Exception as error:  # the reader raises whatever it trips over
         raise LogError(f"{path} is not a readable ArduPilot log: {error}") from error
     log.tables = {name: np.array(values) for name, values in rows.items()}
-    complaints = [line for line in printed.getvalue().splitlines() if line.strip()]
+    complaints = sum(1 for text in printed.getvalue().splitlines() if text.strip())
     if complaints:
-        log.notes.append(f"{_spoilt(path)} bytes belong to no record and were passed over")
+        log.notes.append(f"{complaints} records could not be understood")
     if not log.tables and not len(log.parameters):
         raise LogError(f"{path} holds no record that is looked for; is it an ArduPilot log?")
     return log
+
+
+def _take(reader: Any, log: _Log, rows: dict[str, list[list[float]]]) -> None:
+    """All records that are looked for."""
+    at_s = 0.0
+    while (message := reader.recv_match(type=[*_TABLES, "PARM"])) is not None:
+        kind, fields = message.get_type(), message.get_fieldnames()
+        if "TimeUS" in fields:
+            at_s = 1e-6 * message.TimeUS
+        elif "TimeMS" in fields:  # before 2015
+            at_s = 1e-3 * message.TimeMS
+        if kind == "PARM":
+            log.parameters.put(at_s, message.Name, float(message.Value))
+        elif getattr(message, "I", 0) == 0 and getattr(message, "C", 0) == 0:
+            name, wanted = _TABLES[kind]
+            rows.setdefault(name, []).append([at_s, *(_value(message, field) for field in wanted)])
+
+
+def _whole(path: Path) -> tuple[bytes, int]:
+    """The records that follow one another by the lengths that the log declares, and how many bytes belong to none.
+    What is left of the last page is not counted. Raises LogError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path} cannot be read: {error.strerror}") from error
+    sizes, kept, at, begin, lost = {_FMT: _FMT_SIZE}, list[bytes](), 0, 0, 0
+    while at + 3 <= len(data):
+        size = sizes.get(data[at + 2], 0) if data.startswith(_HEAD, at) else 0
+        end = at + size
+        followed = data.startswith(_HEAD, end) or len(data) - end < _PAGE
+        # A record that is cut off has the next one within it.
+        if size < 3 or end > len(data) or not (followed or data.find(_HEAD, at + 3, end) < 0):
+            kept.append(data[begin:at])
+            at += 1
+            begin, lost = at, lost + 1
+            continue
+        if data[at + 2] == _FMT:
+            sizes[data[at + 3]] = data[at + 4]
+        at = end
+    kept.append(data[begin:at])
+    tail = len(data) - len(data.rstrip(b"\xff\x00"))
+    return b"".join(kept), 0 if lost < min(tail + 3, _PAGE) else lost
 
 
 def _value(message: object, name: str) -> float:
@@ -105,21 +146,6 @@ def _value(message: object, name: str) -> float:
     if value is None:
         raise LogError(f"a record lacks field {name}")
     return float(value)
-
-
-def _spoilt(path: Path) -> int:
-    """Bytes that lie in no record, by the lengths that the log declares."""
-    data = path.read_bytes()
-    sizes, at, lost = {0x80: 89}, 0, 0
-    while at + 3 <= len(data):
-        size = sizes.get(data[at + 2], 0) if data[at : at + 2] == b"\xa3\x95" else 0
-        if size < 3:
-            lost, at = lost + 1, at + 1
-            continue
-        if data[at + 2] == 0x80 and at + 5 <= len(data):
-            sizes[data[at + 3]] = data[at + 4]
-        at += size
-    return lost + max(len(data) - at, 0)
 
 
 def _armings(tables: Mapping[str, Table]) -> Table:

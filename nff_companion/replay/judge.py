@@ -29,7 +29,7 @@ _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the decla
 _BEGIN_S = 1.0  # of each flight left out of what is explained: filters and take-off
 _BEFORE_S = 0.3  # and so long before a declaration: the fault is there before it is declared
 _LEAST_S = 1.0  # of judged flight; less says nothing
-_SHARE_MIN = 0.5  # of the samples of a flight that must have been usable
+_SHARE_MIN = 0.8  # of the samples of a flight that must have been usable
 _LAST_S = 10.0  # before a declaration
 # Outputs that ask for twice the power that was measured, or more, were not what the motors did. Where the residual is
 # small beside the loss of a motor it does not matter. Real flights: -0.6 and more of the former; -3 of outputs at 10 Hz

@@ -40,7 +40,7 @@ class Commands:
 
 def time_of(table: Topic) -> NDArray[np.float64]:
     """(K,) s; the first stamps of some logs underflow: they are signed."""
-    return 1e-6 * np.asarray(table["timestamp"]).astype(np.int64)
+    return np.asarray(1e-6 * np.asarray(table["timestamp"]).astype(np.int64), np.float64)
 
 
 def columns(table: Topic, pattern: str, channels: list[int], topic: str) -> NDArray[np.float64]:

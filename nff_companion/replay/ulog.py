@@ -55,8 +55,8 @@ def flights(path: Path) -> list[LogFlight]:
     armed = _switches(topics)
     first = [float(time_of(table)[0]) for table in (topics.get((_IMU, 0)),) if table is not None]
     first_s = first[0] if first else 0.0
-    on = [] if armed is None else armed[armed[:, 1] > 0.0]
-    take_off_s = float(on[0][0]) if len(on) else first_s
+    on = np.zeros((0, 2)) if armed is None else armed[armed[:, 1] > 0.0]
+    take_off_s = float(on[0, 0]) if len(on) else first_s
     values = parameters.at(take_off_s)
     notes = [f"{len(log.dropouts)} dropouts of the logger"] if log.dropouts else []
     if getattr(log, "file_corruption", False) or printed.getvalue().strip():
@@ -150,7 +150,7 @@ def _armed(
 ) -> NDArray[np.bool_]:
     """Armed flag (N,); where the commands are those of a controller of the user's own, thrust is the flag."""
     if commands.unit == "N" or switches is None:
-        return (commands.values[index] > 0.0).any(axis=1)
+        return np.asarray((commands.values[index] > 0.0).any(axis=1))
     at = newest(switches[:, 0], time_s)
     return (switches[np.maximum(at, 0), 1] > 0.0) & (at >= 0)
 
