@@ -43,3 +43,7 @@ class FrameError(NffError, ValueError):
 
 class NetworkError(NffError, ValueError):
     """A basis network cannot be used."""
+
+
+class NotJudged(LogError):
+    """A flight log can be read, but whether a motor failed cannot be told from it; the message says what is missing."""

@@ -70,7 +70,7 @@ class Adoption:
         system = message.get_srcSystem()
         known = self._vehicles.get(system)
         if message.get_type() == "HEARTBEAT":
-            if message.type in _NO_VEHICLE or message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+            if not is_vehicle(message):
                 self._others.add(system)
                 return False
             if known is None:
@@ -134,6 +134,11 @@ class Adoption:
     def _kind_of(self, vehicle: _Vehicle, now_s: float) -> Kind | None:
         speaks = vehicle.dialect_count >= _SPEAKS and now_s - vehicle.dialect_last_s <= _SILENT_S
         return self._meeting.kind(vehicle.autopilot, speaks_our_dialect=speaks)
+
+
+def is_vehicle(heartbeat: Message) -> bool:
+    """Whether it is of an autopilot whose motors could be reallocated."""
+    return heartbeat.type not in _NO_VEHICLE and heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID
 
 
 def _note_dialect(vehicle: _Vehicle, now_s: float) -> None:

@@ -3,10 +3,14 @@
 One sample a HIGHRES_IMU, with the newest of everything else: autopilots send it at the highest rate, with the time of
 the measurement. Motor outputs older than ``OUTPUT_AGE_MAX_S`` make the sample unusable (NaN), so that a stream that
 stopped is never mistaken for motors that stand still.
+
+A time is since boot or since 1970, and one autopilot may send both: each message's clock is compared with that of
+HIGHRES_IMU.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -22,7 +26,8 @@ ATTITUDE_AGE_MAX_S = 0.1
 MOVED_MAX_S = 0.15  # a position is carried on by its velocity for so long
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
-_WRAP_USEC = 2**32
+_WRAP_S = 1e-6 * 2**32  # SERVO_OUTPUT_RAW has 32 bits of microseconds: 71.6 minutes
+_OTHER_CLOCK_S = 10.0  # no message is as old as this: it is another clock
 _IGNORES_VELOCITY = (
     dialect.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | dialect.POSITION_TARGET_TYPEMASK_VY_IGNORE
@@ -43,17 +48,47 @@ _RPM = 2.0 * np.pi / 60.0
 _ESC_FIRST = {"ESC_TELEMETRY_1_TO_4": 0, "ESC_TELEMETRY_5_TO_8": 4, "ESC_TELEMETRY_9_TO_12": 8}
 
 
+class _Clock:
+    """Times of one kind of message, in the time of HIGHRES_IMU. Ages are real where both are of one clock; else the
+    youngest message counts as new."""
+
+    def __init__(self, wrap_s: float = 0.0) -> None:
+        """``wrap_s``: after so long the time begins anew; 0: never."""
+        self._wrap_s, self._shift_s, self._last_s = wrap_s, 0.0, np.nan
+
+    def age_s(self, stamp_s: float, now_s: float) -> float:
+        """Of a message that has just come, at a sample of ``now_s``."""
+        age_s = self._between(stamp_s + self._shift_s, now_s)
+        if abs(age_s) > _OTHER_CLOCK_S and stamp_s != self._last_s:  # a time that stands still is old, no other clock
+            age_s = self._between(stamp_s, now_s)
+            self._shift_s = 0.0 if abs(age_s) <= _OTHER_CLOCK_S else age_s
+            age_s -= self._shift_s
+        elif self._shift_s and age_s < 0.0:
+            self._shift_s += age_s
+            age_s = 0.0
+        self._last_s = stamp_s
+        return age_s
+
+    def _between(self, stamp_s: float, now_s: float) -> float:
+        if not self._wrap_s:
+            return now_s - stamp_s
+        return (now_s - stamp_s + 0.5 * self._wrap_s) % self._wrap_s - 0.5 * self._wrap_s
+
+
 class TelemetryDecoder:
     """Remembers the newest of each message."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, channels: Sequence[int] | None = None) -> None:
+        """``channels`` (from 0) of the motors' outputs; None: in the motors' order."""
         self._vehicle = vehicle
-        self._pulses = attrgetter(*[f"servo{i}_raw" for i in range(1, min(vehicle.motors, _MAX_SERVOS) + 1)])
+        if channels is None:
+            channels = range(min(vehicle.motors, _MAX_SERVOS))
+        self._pulses = attrgetter(*[f"servo{k + 1}_raw" for k in channels])
         self._armed: bool | None = None  # not heard
         self._beyond = f"servo{vehicle.motors + 1}_raw" if vehicle.motors < _MAX_SERVOS else ""
         self.drives_more = False  # outputs than the airframe has motors
         self._output: NDArray[np.float64] = np.full(vehicle.motors, np.nan)
-        self._output_usec: int | None = None
+        self._output_s = -np.inf
         self._quaternion: NDArray[np.float64] | None = None
         self._quaternion_s = -np.inf
         self._position: NDArray[np.float64] | None = None
@@ -68,7 +103,8 @@ class TelemetryDecoder:
         m = vehicle.motors
         self._speed, self._speed_s = np.full(m, np.nan), np.full(m, np.nan)
         self._speed_count = np.full(m, -1)
-        self._now_s = 0.0  # of the last inertial sample
+        self._now_s: float | None = None  # of the last inertial sample
+        self._clocks: dict[str, _Clock] = {"SERVO_OUTPUT_RAW": _Clock(_WRAP_S)}
         self._handlers = {
             "HIGHRES_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servos,
@@ -110,12 +146,12 @@ class TelemetryDecoder:
         if self._armed and min(pulses) <= 0:
             # An output that an armed autopilot does not drive is no motor: the airframe is another one.
             self._output = np.full_like(self._output, np.nan)
-        self._output_usec = message.time_usec
+        self._output_s = self._time_s(message, 1e-6 * message.time_usec)
         self.drives_more = bool(self._beyond) and getattr(message, self._beyond) > 0
 
     def _esc_status(self, message: Message) -> None:
         """Four motors from ``index``, at the time of the message; a message that repeats itself is not new."""
-        read_s = 1e-6 * message.time_usec
+        read_s = self._time_s(message, 1e-6 * message.time_usec)
         for k, rpm in enumerate(message.rpm):
             motor = message.index + k
             if motor < self._vehicle.motors and read_s != self._speed_s[motor]:
@@ -128,7 +164,7 @@ class TelemetryDecoder:
             motor = first + k
             if motor < self._vehicle.motors and count != self._speed_count[motor]:
                 self._speed_count[motor] = count
-                self._read_speed(motor, rpm * _RPM, self._now_s)
+                self._read_speed(motor, rpm * _RPM, self._now_s or 0.0)
 
     def _read_speed(self, index: int, speed_rad_s: float, read_s: float) -> None:
         """Into new arrays: the samples before keep theirs."""
@@ -137,12 +173,12 @@ class TelemetryDecoder:
 
     def _attitude(self, message: Message) -> None:
         self._quaternion = np.array([message.q1, message.q2, message.q3, message.q4])
-        self._quaternion_s = 1e-3 * message.time_boot_ms
+        self._quaternion_s = self._time_s(message, 1e-3 * message.time_boot_ms)
 
     def _local_position(self, message: Message) -> None:
         self._position = np.array([message.x, message.y, message.z])
         self._velocity = np.array([message.vx, message.vy, message.vz])
-        self._position_s = 1e-3 * message.time_boot_ms
+        self._position_s = self._time_s(message, 1e-3 * message.time_boot_ms)
 
     def _position_target(self, message: Message) -> None:
         # A field that is marked as ignored is sent as zero: the origin, and north.
@@ -153,13 +189,14 @@ class TelemetryDecoder:
             None if ignored & _IGNORES_ACCELERATION else np.array([message.afx, message.afy, message.afz])
         )
         self._target_yaw = None if ignored & dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE else message.yaw
-        self._target_s = 1e-3 * message.time_boot_ms
+        self._target_s = self._time_s(message, 1e-3 * message.time_boot_ms)
 
-    def _output_age_s(self, now_usec: int) -> float:
-        """Age of the motor outputs; their time is 32 bits of microseconds, which wrap every 71.6 minutes."""
-        if self._output_usec is None:
-            return np.inf
-        return 1e-6 * abs((now_usec - self._output_usec + _WRAP_USEC // 2) % _WRAP_USEC - _WRAP_USEC // 2)
+    def _time_s(self, message: Message, stamp_s: float) -> float:
+        """Time of a message in that of the samples; before the first of them as it stands."""
+        if self._now_s is None:
+            return stamp_s
+        clock = self._clocks.setdefault(message.get_type(), _Clock())
+        return self._now_s - clock.age_s(stamp_s, self._now_s)
 
     @staticmethod
     def _moved(
@@ -173,7 +210,7 @@ class TelemetryDecoder:
 
     def _imu(self, message: Message) -> Sample:
         time_s = self._now_s = 1e-6 * message.time_usec
-        fresh = self._output_age_s(message.time_usec) <= OUTPUT_AGE_MAX_S
+        fresh = abs(time_s - self._output_s) <= OUTPUT_AGE_MAX_S
         located = abs(time_s - self._position_s) <= STATE_AGE_MAX_S
         aimed = abs(time_s - self._target_s) <= STATE_AGE_MAX_S
         return Sample(

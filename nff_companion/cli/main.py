@@ -10,10 +10,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import typer
-from rich.text import Text
 
 from nff_companion.cli import airframe, bench, compare, flight, fly, learn, operate, trials
-from nff_companion.cli.output import console
+from nff_companion.cli.output import say_error
 from nff_companion.errors import NffError
 
 app = typer.Typer(
@@ -45,8 +44,7 @@ def main() -> None:
     try:
         app()
     except NffError as error:
-        # The message may quote anything: brackets in it are no colours.
-        console.print(Text.assemble(("nff:", "red"), f" {error}"), highlight=False, soft_wrap=True)
+        say_error(str(error))
         sys.exit(2)
 
 

@@ -33,6 +33,7 @@ def run(
 
 def _table(state: dict[str, Any]) -> Any:
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(title=f"{state['airframe']}   {state['mode'].upper()}: {state['reason']}")
     for column in ("motor", "effectiveness", "+-", "decision"):
@@ -45,7 +46,7 @@ def _table(state: dict[str, Any]) -> Any:
             str(motor["motor"]),
             "-" if eta is None else f"{eta:.2f}",
             "-" if deviation is None else f"{deviation:.2f}",
-            f"[{colour}]{motor['decision']}[/{colour}]",
+            Text(motor["decision"], colour),
         )
     autopilot = state["autopilot"]
     allocation = "no autopilot heard" if autopilot is None else f"motors driven by: {autopilot['allocation']}"
@@ -118,13 +119,15 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Check link, autopilot, applet, parameters, motor order and rates before arming. Exit code 1: not ready."""
+    from rich.text import Text
+
     from nff_companion.daemon import configuration
     from nff_companion.daemon.doctor import Doctor
 
     findings = Doctor(configuration.load(config)).examine(timeout)
-    marks = {True: "[green]ok[/green]  ", False: "[red]NOT[/red] ", None: "note"}
+    marks = {True: ("ok  ", "green"), False: ("NOT ", "red"), None: ("note", "")}
     for finding in findings:
-        console.print(f"{marks[finding.ok]} {finding.name}: {finding.detail}", highlight=False, soft_wrap=True)
+        console.print(Text.assemble(marks[finding.ok], f" {finding.name}: {finding.detail}"), soft_wrap=True)
     ready = all(finding.ok is not False for finding in findings)
     if json:
         found = [{"name": f.name, "ok": f.ok, "detail": f.detail} for f in findings]

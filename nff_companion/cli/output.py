@@ -14,8 +14,9 @@ from logging.handlers import QueueHandler, QueueListener
 from typing import Any
 
 from rich.console import Console
+from rich.text import Text
 
-console = Console(stderr=True)
+console = Console(stderr=True, markup=False)  # texts of others are no markup: whoever wants colour prints a Text
 
 _LINES_MAX = 1000  # that wait for standard error
 _END_S = 0.5  # longest time for the lines that are left when the program ends
@@ -106,6 +107,16 @@ def setup_logging(level: int = logging.INFO) -> None:
     logging.captureWarnings(True)
     writer.start()
     atexit.register(writer.stop)
+
+
+def say(text: str) -> None:
+    """A line on standard error, as it stands: texts of others are no markup."""
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def say_error(text: str) -> None:
+    """The same, with who says it in red."""
+    console.print(Text.assemble(("nff:", "red"), " ", text), soft_wrap=True)
 
 
 def print_json(document: dict[str, Any]) -> None:

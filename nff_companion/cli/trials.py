@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from nff_companion.cli.output import console, print_json
+from nff_companion.cli.output import print_json, say, say_error
 from nff_companion.daemon.configuration import MODES
 from nff_companion.errors import ConfigError, LogError
 
@@ -79,16 +79,14 @@ def survey(
         return
     for flight in document["flights"]:
         baseline = flight["baseline_survived"]
-        console.print(
+        say(
             f"motors {flight['motors']!s:9} seed {flight['seed']}: {'flies' if flight['survived'] else 'CRASH'}"
             f" (without: {'-' if baseline is None else 'flies' if baseline else 'CRASH'}),"
             f" named {flight['named']}, delay {flight['delay_s']} s, tilt {flight['max_tilt_deg']:.1f} deg,"
-            f" off by {flight['max_position_error_m']:.2f} m",
-            highlight=False,
-            soft_wrap=True,
+            f" off by {flight['max_position_error_m']:.2f} m"
         )
     for key, value in document["summary"].items():
-        console.print(f"{key}: {value}", highlight=False)
+        say(f"{key}: {value}")
 
 
 def replay(
@@ -96,25 +94,29 @@ def replay(
     airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")],
     json: Json = False,
 ) -> None:
-    """Find failed motors in flight logs. Exit code 0: none, 1: found, 2: a log was unreadable."""
+    """Find failed motors in flight logs. Exit code 0: no fault, 1: a fault, 2: a log could not be judged."""
     from nff_companion.core import vehicle as vehicle_model
-    from nff_companion.replay.run import replay as replay_log
+    from nff_companion.replay.document import line
+    from nff_companion.replay.run import replay_all
 
     vehicle = vehicle_model.load(airframe)
-    flights, unreadable = [], 0
+    flights: list[dict[str, Any]] = []
+    unreadable = False
     for path in logs:
         try:
-            flights.append(replay_log(path, vehicle))
+            found = replay_all(path, vehicle)
         except LogError as error:
-            unreadable += 1
-            console.print(f"[red]nff:[/red] {error}", highlight=False, soft_wrap=True)
+            unreadable = True
+            say_error(str(error))
+            continue
+        flights += found
+        for flight in found:
+            for note in flight["notes"]:
+                say(f"{path}: {note}")
+            if not json or flight["verdict"] == "not_judged":
+                say(line(flight))
     if json:
         print_json({"flights": flights})
-    else:
-        for flight in flights:
-            faults = ", ".join(
-                f"motor {f['motor']} at {f['time_s']:.3f} s (effectiveness {f['effectiveness']:.2f})"
-                for f in flight["faults"]
-            )
-            console.print(f"{flight['file']}: {faults or 'no fault'}", highlight=False, soft_wrap=True)
-    raise typer.Exit(2 if unreadable else int(any(f["faults"] for f in flights)))
+    if unreadable or any(flight["verdict"] == "not_judged" for flight in flights):
+        raise typer.Exit(2)
+    raise typer.Exit(int(any(flight["verdict"] == "fault" for flight in flights)))

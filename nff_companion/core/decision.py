@@ -73,7 +73,7 @@ class Decision:
     def __init__(self, motors: int, axes: int, tuning: DecisionTuning) -> None:
         self.tuning = tuning
         # With fewer motors than axes left nothing can be told apart, nor done about it.
-        self._failed_max = max(1, min(tuning.failed_max, motors - axes))
+        self.failed_max = max(1, min(tuning.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
     def best(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> Hypothesis | None:
@@ -185,11 +185,11 @@ class Decision:
         direct: Hypothesis | None,
     ) -> list[Event]:
         """Losses that the onset windows show; what is being confirmed goes into ``new``."""
-        room = self._failed_max - sum(state.failed.tolist())
+        room = self.failed_max - sum(state.failed.tolist())
         new.since_s = time_s
         if direct is not None and len(direct.motors) <= room:
             return self._declare(new, time_s, direct, 1.0)
-        if best is None or not self._convincing(best):
+        if best is None or not self.convincing(best):
             return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
@@ -228,7 +228,7 @@ class Decision:
         low = [i for i in sure if 1.0 - eta[i] > o.loss_gradual]
         new.gradual_since_s = {i: state.gradual_since_s.get(i, time_s) for i in low}
         ready = [i for i, since_s in new.gradual_since_s.items() if time_s - since_s >= o.confirm_gradual_s]
-        if len(ready) != 1 or sum(failed) >= self._failed_max:
+        if len(ready) != 1 or sum(failed) >= self.failed_max:
             return []
         motor = ready[0]
         new.failed = new.failed.copy()
@@ -257,7 +257,8 @@ class Decision:
             new.failed[lifted] = False
         return [Event(time_s, i + 1, False, eta[i], 1.0) for i in lifted]
 
-    def _convincing(self, best: Hypothesis) -> bool:
+    def convincing(self, best: Hypothesis) -> bool:
+        """Whether it would be declared once it has led for long enough and there is room."""
         o = self.tuning
         settled = best.age_s > o.settled_s or len(best.motors) > 1
         return (

@@ -5,14 +5,13 @@ Sources: libraries/AP_Motors (AP_MotorsMatrix, AP_MotorsMulticopter, AP_Motors_T
 
 from __future__ import annotations
 
-from nff_companion.autopilots.ardupilot.checks import CHANNELS, function_of
+from nff_companion.autopilots.ardupilot.checks import SERVOS, function_of
 from nff_companion.core.airframe_file import MOTORS_MAX
 from nff_companion.frames import catalogue
 from nff_companion.frames.catalogue import Frame
 from nff_companion.frames.parameter_file import Parameters
 from nff_companion.frames.reading import GUESSED, Known, Reading, hover, known
 
-_SERVOS = 2 * CHANNELS  # outputs that have a SERVOn_FUNCTION, at most
 _CLASSES = {  # FRAME_CLASS that the companion has no model of
     0: "undefined",
     6: "a helicopter",
@@ -86,7 +85,7 @@ def _outputs(parameters: Parameters, frame: Frame, notes: list[str]) -> None:
     """Are the frame's motors on outputs, each on one? Which they are, where they are not in order, is a note."""
     motor_of = {function_of(motor): motor for motor in range(1, MOTORS_MAX + 1)}
     outputs: dict[int, int] = {}
-    for output in range(1, _SERVOS + 1):
+    for output in range(1, SERVOS + 1):
         motor = motor_of.get(parameters.whole(f"SERVO{output}_FUNCTION") or 0)
         if motor is None:
             continue

@@ -8,79 +8,89 @@ from typing import Any
 
 import numpy as np
 
-from nff_companion.companion import Companion
-from nff_companion.condition import Condition, Mode
-from nff_companion.core import basis_network
-from nff_companion.core.decision import Event
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
-from nff_companion.errors import LogError
+from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import dataflash, tlog, ulog
+from nff_companion.replay.document import document
+from nff_companion.replay.flight import LogFlight, Reading
+from nff_companion.replay.judge import Judgement, judge
 
-_SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
 _SAMPLES_MIN = 100
 _RATES_HZ = (25.0, 1000.0)
+_RATE_MIN_HZ = 20.0
+_READERS = {".ulg": ulog.flights, ".ulog": ulog.flights, ".bin": dataflash.flights, ".tlog": tlog.flights}
+
+
+def flights(path: Path) -> list[LogFlight]:
+    """The flights of a log, one of each vehicle that is in it, before an airframe is chosen. Raises LogError."""
+    if not path.is_file():
+        raise LogError(f"{path} is not a file")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise LogError(f"{path}: suffix {path.suffix!r} is unknown; .ulg, .bin and .tlog can be read")
+    return reader(path)
+
+
+def reading(flight: LogFlight, vehicle: Vehicle) -> Reading:
+    """The samples of a flight for an airframe. Raises NotJudged where they are too few."""
+    found = flight.read(vehicle)
+    if len(found.rows) >= 2:
+        rate_hz = _rate(sample for _, sample in found.rows)
+        if rate_hz < _RATE_MIN_HZ:
+            raise NotJudged(f"inertial samples at {rate_hz:.0f} Hz: {_RATE_MIN_HZ:.0f} Hz or more are needed")
+    if len(found.rows) < _SAMPLES_MIN:
+        raise NotJudged(
+            f"{len(found.rows)} inertial samples; {_SAMPLES_MIN} are needed (HIGHRES_IMU, sensor_combined, IMU)"
+        )
+    return found
 
 
 def read(path: Path, vehicle: Vehicle) -> tuple[float, list[tuple[float, Sample]]]:
-    """(time of the first record, [(time of arrival, sample)]). Raises LogError."""
-    if not path.is_file():
-        raise LogError(f"{path} is not a file")
-    suffix = path.suffix.lower()
-    if suffix in (".ulg", ".ulog"):
-        rows = list(ulog.samples(path, vehicle))
-        first = rows[0][0] if rows else 0.0
-    elif suffix == ".bin":
-        rows = list(dataflash.samples(path, vehicle))
-        first = rows[0][0] if rows else 0.0
-    elif suffix == ".tlog":
-        rows = list(tlog.samples(path, vehicle))
-        first = tlog.first_stamp(path)
-    else:
-        raise LogError(f"{path}: suffix {suffix!r} is unknown; .ulg, .bin and .tlog can be read")
-    if len(rows) < _SAMPLES_MIN:
-        raise LogError(
-            f"{path} has {len(rows)} inertial samples; {_SAMPLES_MIN} are needed (HIGHRES_IMU, sensor_combined)"
-        )
-    return first, rows
+    """(time of the first record, [(time of arrival, sample)]) of a log with one flight. Raises LogError."""
+    flight = _only(path)
+    try:
+        return flight.first_s, reading(flight, vehicle).rows
+    except NotJudged as error:
+        raise NotJudged(f"{path}: {error}") from error
 
 
 def rate_of(samples: Iterable[Sample]) -> float:
     """Rate in Hz at which a live link would have been configured."""
-    gaps = np.diff([s.time_s for s in samples])
-    rate = 1.0 / float(np.median(gaps[gaps > 0.0]))
-    return float(np.clip(rate, *_RATES_HZ))
+    return float(np.clip(_rate(samples), *_RATES_HZ))
 
 
 def replay(path: Path, vehicle: Vehicle, tuning: Tuning | None = None) -> dict[str, Any]:
-    """Faults found in one log; ``time_s`` from its first record. Raises LogError."""
-    first, rows = read(path, vehicle)
-    network = basis_network.for_vehicle(vehicle, "airframe")
-    companion = Companion(vehicle, rate_of(sample for _, sample in rows), tuning, network=network)
-    state, nobody = companion.start(Mode.OBSERVE), Condition()
-    faults: list[dict[str, Any]] = []
-    settling: list[tuple[float, Event, dict[str, Any]]] = []
-    for stamp, sample in rows:
-        state, output = companion.step(state, sample, nobody)
-        for event in output.events:
-            if event.declared:
-                fault = {
-                    "motor": event.motor,
-                    "time_s": round(stamp - first, 4),
-                    "effectiveness": round(event.effectiveness, 3),
-                    "confidence": round(event.confidence, 4),
-                }
-                faults.append(fault)
-                settling.append((sample.time_s + _SETTLE_S, event, fault))
-        while settling and sample.time_s >= settling[0][0]:
-            _, event, fault = settling.pop(0)
-            if output.flying:
-                fault["effectiveness"] = round(min(float(output.effectiveness[event.motor - 1]), 1.0), 3)
-    return {
-        "file": str(path),
-        "duration_s": round(rows[-1][0] - first, 3),
-        "samples": len(rows),
-        "bad_samples": state.bad_samples,
-        "faults": faults,
-    }
+    """The document of the one flight in a log; ``time_s`` from its first record. Raises LogError."""
+    return _judged(_only(path), vehicle, tuning)
+
+
+def replay_all(path: Path, vehicle: Vehicle, tuning: Tuning | None = None) -> list[dict[str, Any]]:
+    """The document of each flight in a log. Raises LogError where it cannot be read."""
+    return [_judged(flight, vehicle, tuning) for flight in flights(path)]
+
+
+def _rate(samples: Iterable[Sample]) -> float:
+    gaps = np.diff([s.time_s for s in samples])
+    gaps = gaps[gaps > 0.0]
+    return 1.0 / float(np.median(gaps)) if len(gaps) else 0.0
+
+
+def _only(path: Path) -> LogFlight:
+    found = flights(path)
+    if len(found) > 1:
+        raise LogError(f"{path} has {len(found)} vehicles (systems {', '.join(str(f.system) for f in found)})")
+    return found[0]
+
+
+def _judged(flight: LogFlight, vehicle: Vehicle, tuning: Tuning | None) -> dict[str, Any]:
+    try:
+        found = reading(flight, vehicle)
+    except NotJudged as error:
+        return document(flight, Judgement("not_judged", str(error), 0.0, 0, None, []), 0.0)
+    rows = found.rows
+    rate_hz = rate_of(sample for _, sample in rows)
+    fitted = flight.fit(vehicle)
+    judgement = judge(fitted, rows, rate_hz, flight.first_s, found.outputs, found.outputs_hz, tuning)
+    return document(flight, judgement, rows[-1][0] - flight.first_s)

@@ -4,63 +4,208 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from nff_companion.autopilots.adoption import is_vehicle
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
-from nff_companion.core.sample import Sample
-from nff_companion.core.vehicle import Vehicle
-from nff_companion.errors import LogError
+from nff_companion.core.vehicle import TelemetryTable, Vehicle
+from nff_companion.errors import LogError, NotJudged
 from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.mavlink.services.parameter_reader import decode, name_of
+from nff_companion.replay import ardupilot
+from nff_companion.replay.flight import Frame, LogFlight, Reading, Row, rate_of_outputs
+from nff_companion.replay.parameters import Parameters
 
 _STAMP = struct.Struct(">Q")
 _V1, _V2 = 0xFE, 0xFD
 _SIGNATURE = 13
 _SIGNED = 0x01
+_LEAST = _STAMP.size + 8
+_DAY_US = 86_400_000_000
+_SERVOS = 16  # that SERVO_OUTPUT_RAW has
+_MOTORS = {
+    dialect.MAV_TYPE_QUADROTOR: 4,
+    dialect.MAV_TYPE_HEXAROTOR: 6,
+    dialect.MAV_TYPE_OCTOROTOR: 8,
+    dialect.MAV_TYPE_DECAROTOR: 10,
+    dialect.MAV_TYPE_DODECAROTOR: 12,
+}
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_TAKEN = frozenset({"HIGHRES_IMU", "SERVO_OUTPUT_RAW", "HEARTBEAT", "PARAM_VALUE", "ATTITUDE_QUATERNION"}) | {
+    "LOCAL_POSITION_NED",
+    "POSITION_TARGET_LOCAL_NED",
+    "EXTENDED_SYS_STATE",
+    "ESC_STATUS",
+    "ESC_TELEMETRY_1_TO_4",
+    "ESC_TELEMETRY_5_TO_8",
+    "ESC_TELEMETRY_9_TO_12",
+}
+
+
+class Records:
+    """Records of one file; ``skipped`` bytes belong to none, once they have been gone through."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises LogError."""
+        try:
+            self._data = path.read_bytes()
+        except OSError as error:
+            raise LogError(f"{path} cannot be read: {error.strerror}") from error
+        self._path = path
+        self.skipped = 0
+
+    def __iter__(self) -> Iterator[tuple[float, bytes]]:
+        """(arrival in s since 1970, frame). After a tear it goes on where records follow one another again. Raises
+        LogError when the file is no tlog."""
+        data, at, found, before = self._data, 0, 0, None
+        while at + _LEAST <= len(data):
+            size = self._size(at)
+            stamp = _STAMP.unpack_from(data, at)[0]
+            if not size or not self._followed(at + size, stamp) or (before and abs(stamp - before) > _DAY_US):
+                at += 1
+                self.skipped += 1
+                if not found and self.skipped > len(data) // 2:
+                    break
+                continue
+            yield 1e-6 * stamp, data[at + _STAMP.size : at + size]
+            at, before, found = at + size, stamp, found + 1
+        self.skipped += len(data) - at
+        if not found:
+            raise LogError(f"{self._path} holds no MAVLink record; is it a tlog?")
+
+    def _size(self, at: int) -> int:
+        """Length of the record at ``at``, 0: there is none."""
+        data, start = self._data, at + _STAMP.size
+        if start + 3 > len(data):
+            return 0
+        if data[start] == _V2:
+            frame = data[start + 1] + 12 + (_SIGNATURE if data[start + 2] & _SIGNED else 0)
+        elif data[start] == _V1:
+            frame = data[start + 1] + 8
+        else:
+            return 0
+        return _STAMP.size + frame if start + frame <= len(data) else 0
+
+    def _followed(self, at: int, stamp: int) -> bool:
+        """Whether another record of about that time begins at ``at``, or the file ends within it."""
+        if at + _LEAST > len(self._data):
+            return True
+        return (
+            self._data[at + _STAMP.size] in (_V1, _V2) and abs(_STAMP.unpack_from(self._data, at)[0] - stamp) < _DAY_US
+        )
 
 
 def frames(path: Path) -> Iterator[tuple[float, bytes]]:
     """(arrival in s since 1970, frame) of each record. Raises LogError when the file is not a tlog."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path} cannot be read: {error.strerror}") from error
-    at = 0
-    while at + _STAMP.size + 8 <= len(data):
-        (stamp,) = _STAMP.unpack_from(data, at)
-        start = at + _STAMP.size
-        magic, length = data[start], data[start + 1]
-        if magic == _V2:
-            size = length + 12 + (_SIGNATURE if data[start + 2] & _SIGNED else 0)
-        elif magic == _V1:
-            size = length + 8
-        else:
-            raise LogError(f"{path}: no MAVLink frame at byte {start}; is it a tlog?")
-        if start + size > len(data):
-            return
-        yield 1e-6 * stamp, data[start : start + size]
-        at = start + size
-    if at == 0:
-        raise LogError(f"{path} holds no record; is it a tlog?")
-
-
-def messages(path: Path) -> Iterator[tuple[float, Message]]:
-    """(arrival in s, message) of each frame of an autopilot that our dialect knows."""
-    codec = Codec(255, dialect.MAV_COMP_ID_MISSIONPLANNER)
-    for stamp, frame in frames(path):
-        for message in codec.parse(frame):
-            if message.get_srcComponent() == dialect.MAV_COMP_ID_AUTOPILOT1:
-                yield stamp, message
-
-
-def samples(path: Path, vehicle: Vehicle) -> Iterator[tuple[float, Sample]]:
-    """(arrival in s, sample), by the decoder of the live link."""
-    decoder = TelemetryDecoder(vehicle)
-    for stamp, message in messages(path):
-        sample = decoder.observe(message)
-        if sample is not None:
-            yield stamp, sample
+    return iter(Records(path))
 
 
 def first_stamp(path: Path) -> float:
     """Arrival of the first record, s since 1970."""
     return next(frames(path))[0]
+
+
+@dataclass
+class _Heard:
+    """Of one system's autopilot."""
+
+    messages: list[tuple[float, Message]] = field(default_factory=list)
+    heartbeat: Any = None  # the first
+    vehicle: bool | None = None  # None: no heartbeat
+    counts: dict[str, int] = field(default_factory=dict)
+    armed_s: float | None = None  # first heard to be armed
+    parameters: Parameters = field(default_factory=Parameters)
+
+    def take(self, stamp: float, message: Message) -> None:
+        kind = message.get_type()
+        if kind not in _TAKEN:
+            return
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        self.messages.append((stamp, message))
+        if kind == "HEARTBEAT":
+            self.heartbeat = self.heartbeat or message
+            self.vehicle = bool(self.vehicle) or is_vehicle(message)
+            if self.armed_s is None and message.base_mode & _ARMED:
+                self.armed_s = stamp
+        elif kind == "PARAM_VALUE":
+            bytewise = self.heartbeat is not None and self.heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4
+            value = decode(message.param_value, message.param_type, bytewise=bytewise)
+            self.parameters.put(stamp, name_of(message), value)
+
+    @property
+    def ardupilot(self) -> bool:
+        return self.heartbeat is not None and self.heartbeat.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+
+def flights(path: Path) -> list[LogFlight]:
+    """One of each vehicle that is heard. Raises LogError."""
+    heard: dict[int, _Heard] = {}
+    codec, records, first_s = Codec(255, dialect.MAV_COMP_ID_MISSIONPLANNER), Records(path), None
+    for stamp, frame in records:
+        first_s = stamp if first_s is None else first_s
+        for message in codec.parse_datagram(frame):
+            if message.get_srcComponent() == dialect.MAV_COMP_ID_AUTOPILOT1:
+                heard.setdefault(message.get_srcSystem(), _Heard()).take(stamp, message)
+    notes = [f"{records.skipped} bytes belong to no record and were passed over"] if records.skipped else []
+    vehicles = {system: one for system, one in sorted(heard.items()) if one.vehicle}
+    # Whoever sends samples and no heartbeat is somebody to be spoken of, where nobody else is a vehicle.
+    vehicles = vehicles or {system: one for system, one in sorted(heard.items()) if one.vehicle is None}
+    if not vehicles or first_s is None:
+        raise NotJudged(f"{path}: no autopilot of a multirotor is heard (HEARTBEAT of component 1)")
+    return [_flight(path, system, one, first_s, notes) for system, one in vehicles.items()]
+
+
+def _flight(path: Path, system: int, heard: _Heard, first_s: float, notes: list[str]) -> LogFlight:
+    take_off_s = first_s if heard.armed_s is None else heard.armed_s
+    frame = ardupilot.frame_of(heard.parameters.at(take_off_s)) if heard.ardupilot else None
+    if frame is None and heard.ardupilot and heard.heartbeat.type in _MOTORS:
+        motors = _MOTORS[heard.heartbeat.type]
+        frame = Frame(f"{motors} motors by MAV_TYPE {heard.heartbeat.type}", motors)
+    px4 = heard.heartbeat is not None and heard.heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4
+
+    def fit(vehicle: Vehicle) -> Vehicle:
+        if px4:
+            return vehicle.with_telemetry(TelemetryTable(0.0, 0.0))
+        return ardupilot.fitted(vehicle, heard.parameters.at(take_off_s)) if heard.ardupilot else vehicle
+
+    return LogFlight(
+        path=path,
+        autopilot="ardupilot" if heard.ardupilot else "px4" if px4 else "",
+        system=system,
+        parameters=heard.parameters,
+        frame=frame,
+        first_s=first_s,
+        take_off_s=take_off_s,
+        read=lambda vehicle: _rows(heard, vehicle, frame, take_off_s),
+        fit=fit,
+        notes=notes,
+    )
+
+
+def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, take_off_s: float) -> Reading:
+    """By the decoder of the live link. Raises NotJudged."""
+    for name in ("HEARTBEAT", "HIGHRES_IMU", "SERVO_OUTPUT_RAW"):
+        if not heard.counts.get(name):
+            raise NotJudged(f"no {name} of the autopilot: have it sent and logged")
+    channels = None
+    if heard.ardupilot:
+        values = heard.parameters.at(take_off_s)
+        wrong = ardupilot.misfit(values, vehicle, frame)
+        if wrong:
+            raise NotJudged(wrong)
+        channels = ardupilot.channels(values, vehicle.motors, _SERVOS)
+    sent = [(s, m.time_usec) for s, m in heard.messages if m.get_type() == "SERVO_OUTPUT_RAW" and m.port == 0]
+    fresh = [after[0] for before, after in pairwise(sent) if after[1] != before[1]]
+    outputs_hz = rate_of_outputs(np.array(fresh), "SERVO_OUTPUT_RAW")
+    decoder = TelemetryDecoder(vehicle, channels)
+    rows: list[Row] = []
+    for stamp, message in heard.messages:
+        sample = decoder.observe(message)
+        if sample is not None:
+            rows.append((stamp, sample))
+    return Reading(rows, "SERVO_OUTPUT_RAW", outputs_hz)

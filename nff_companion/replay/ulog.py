@@ -2,120 +2,201 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+import io
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
-from nff_companion.core.vehicle import LogTable, Vehicle
-from nff_companion.errors import LogError
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.errors import LogError, NotJudged
+from nff_companion.replay import px4_outputs
+from nff_companion.replay.flight import (
+    OUTPUT_GAP_MAX_S,
+    Frame,
+    LogFlight,
+    Reading,
+    Row,
+    interpolated,
+    newest,
+    rate_of_outputs,
+)
+from nff_companion.replay.parameters import Parameters
+from nff_companion.replay.px4_outputs import Commands, Topic, Topics, columns, time_of
 
-_DEFAULT = LogTable(topic="actuator_outputs", field="output[{}]", unit="pwm")
 _IMU = "sensor_combined"
+_ESCS = 8
+_RPM = 2.0 * np.pi / 60.0
+_FIRST_MOTOR = 101
 
 
-def _open(path: Path, topics: list[str]) -> dict[str, dict[str, NDArray[Any]]]:
+def flights(path: Path) -> list[LogFlight]:
+    """The one flight of the log. Raises LogError."""
     from pyulog import ULog
 
+    printed = io.StringIO()
     try:
-        log = ULog(str(path), topics)
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            log = ULog(str(path))
     except Exception as error:  # pyulog raises whatever its parser trips over
         raise LogError(f"{path} is not a readable ULog: {error}") from error
-    tables: dict[str, dict[str, NDArray[Any]]] = {}
-    for item in log.data_list:
-        tables.setdefault(item.name, item.data)
-    return tables
+    topics: dict[tuple[str, int], Topic] = {
+        (item.name, item.multi_id): item.data for item in log.data_list if len(item.data["timestamp"])
+    }
+    parameters = Parameters()
+    for name, value in log.initial_parameters.items():
+        parameters.put(-np.inf, name, float(value))
+    for stamp, name, value in log.changed_parameters:
+        parameters.put(1e-6 * stamp, name, float(value))
+    armed = _switches(topics)
+    first = [float(time_of(table)[0]) for table in (topics.get((_IMU, 0)),) if table is not None]
+    first_s = first[0] if first else 0.0
+    on = np.zeros((0, 2)) if armed is None else armed[armed[:, 1] > 0.0]
+    take_off_s = float(on[0, 0]) if len(on) else first_s
+    values = parameters.at(take_off_s)
+    notes = [f"{len(log.dropouts)} dropouts of the logger"] if log.dropouts else []
+    if getattr(log, "file_corruption", False) or printed.getvalue().strip():
+        notes.append("parts of the file are corrupt and were passed over")
+    return [
+        LogFlight(
+            path=path,
+            autopilot="px4",
+            system=None,
+            parameters=parameters,
+            frame=_frame(values),
+            first_s=first_s,
+            take_off_s=take_off_s,
+            read=lambda vehicle: _rows(topics, values, armed, vehicle),
+            notes=notes,
+        )
+    ]
 
 
-def _time(table: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
-    # The first stamps of some logs underflow: they are signed.
-    return cast("NDArray[np.float64]", 1e-6 * table["timestamp"].astype(np.int64))
+def _frame(values: Mapping[str, float]) -> Frame | None:
+    count, start = values.get("CA_ROTOR_COUNT"), values.get("SYS_AUTOSTART")
+    if not count and not start:
+        return None
+    text = f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}"
+    return Frame(text, int(count) if count else None)
 
 
-def _columns(table: dict[str, NDArray[Any]], pattern: str, count: int, path: Path) -> NDArray[np.float64]:
-    names = [pattern.format(i) for i in range(count)]
-    missing = [n for n in names if n not in table]
-    if missing:
-        raise LogError(f"{path} lacks {missing[0]}: set [log] in the airframe file to where the commands are")
-    return np.stack([np.asarray(table[n], float) for n in names], axis=1)
+def _switches(topics: Topics) -> NDArray[np.float64] | None:
+    """(K, 2) time, whether it is armed from then on."""
+    table = topics.get(("actuator_armed", 0))
+    if table is None:
+        return None
+    return np.stack([time_of(table), np.asarray(table["armed"], float)], axis=1)
 
 
-def samples(path: Path, vehicle: Vehicle) -> Iterator[tuple[float, Sample]]:
-    """(time in s, sample) a row of ``sensor_combined``. Raises LogError."""
-    mapping = vehicle.log or _DEFAULT
-    tables = _open(path, [_IMU, mapping.topic, "actuator_armed", "vehicle_attitude", "vehicle_local_position"])
-    for topic in (_IMU, mapping.topic):
-        if topic not in tables:
-            raise LogError(f"{path} lacks topic {topic}: set [log] in the airframe file, or log it")
-    imu = tables[_IMU]
-    time_s = _time(imu)
-    gyro = _columns(imu, "gyro_rad[{}]", 3, path)
-    force = _columns(imu, "accelerometer_m_s2[{}]", 3, path)
-    command = _columns(tables[mapping.topic], mapping.field, vehicle.motors, path)
-    newest = _newest(_time(tables[mapping.topic]), time_s)
-    armed = _armed(tables, time_s, mapping, command, newest)
-    positions = _positions(tables, time_s, ("x", "y", "z"))
-    velocities = _positions(tables, time_s, ("vx", "vy", "vz"))
-    attitudes = _attitudes(tables, time_s)
-    for k in range(len(time_s)):
-        if newest[k] < 0:
-            continue
-        values = command[newest[k]]
-        thrust = np.clip(values / vehicle.motor.max_thrust_n, 0.0, 1.0) if mapping.unit == "N" else None
-        output = vehicle.output_of_pwm(values) if mapping.unit == "pwm" else np.clip(values, 0.0, 1.0)
-        yield (
+def _rows(
+    topics: Topics, values: Mapping[str, float], switches: NDArray[np.float64] | None, vehicle: Vehicle
+) -> Reading:
+    """A row of ``sensor_combined``. Raises NotJudged."""
+    imu = topics.get((_IMU, 0))
+    if imu is None:
+        raise NotJudged(f"the log lacks topic {_IMU}: log it")
+    commands = px4_outputs.find(topics, values, vehicle, switches)
+    outputs_hz = rate_of_outputs(commands.time_s, commands.name)
+    time_s = time_of(imu)
+    gyro = columns(imu, "gyro_rad[{}]", [0, 1, 2], _IMU)
+    force = columns(imu, "accelerometer_m_s2[{}]", [0, 1, 2], _IMU)
+    index = newest(commands.time_s, time_s)
+    begun = index >= 0
+    time_s, gyro, force, index = time_s[begun], gyro[begun], force[begun], index[begun]
+    output, thrust = _asked(commands, index, time_s, vehicle)
+    armed = _armed(commands, switches, index, time_s)
+    positions = _positions(topics, time_s)
+    attitudes = _attitudes(topics, time_s)
+    speed, read_s = _speeds(topics.get(("esc_status", 0)), vehicle.motors, time_s)
+    rows: list[Row] = [
+        (
             float(time_s[k]),
             Sample(
                 time_s=float(time_s[k]),
                 gyro_rad_s=gyro[k],
                 specific_force_m_s2=force[k],
-                output=output,
+                output=output[k],
                 armed=bool(armed[k]),
                 quaternion=None if attitudes is None else attitudes[k],
-                position_m=None if positions is None else positions[k],
-                velocity_m_s=None if velocities is None else velocities[k],
-                thrust=thrust,
+                position_m=None if positions is None else positions[k, :3],
+                velocity_m_s=None if positions is None else positions[k, 3:],
+                thrust=None if thrust is None else thrust[k],
+                rotor_speed_rad_s=None if speed is None else speed[k],
+                rotor_speed_time_s=None if read_s is None else read_s[k],
             ),
         )
+        for k in range(len(time_s))
+    ]
+    return Reading(rows, commands.name, outputs_hz)
 
 
-def _newest(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Index of the newest entry at each time, -1 before the first."""
-    return np.searchsorted(times, at, side="right") - 1
+def _asked(
+    commands: Commands, index: NDArray[np.int64], time_s: NDArray[np.float64], vehicle: Vehicle
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Outputs (N, m) 0..1 and, where the log has thrusts, their fractions (N, m); NaN where they are too old."""
+    values = commands.values[index]
+    values[time_s - commands.time_s[index] > OUTPUT_GAP_MAX_S] = np.nan
+    if commands.unit == "N":
+        return np.clip(values, 0.0, 1.0), np.clip(values / vehicle.motor.max_thrust_n, 0.0, 1.0)
+    return (vehicle.output_of_pwm(values) if commands.unit == "pwm" else np.clip(values, 0.0, 1.0)), None
 
 
 def _armed(
-    tables: dict[str, Any],
-    time_s: NDArray[np.float64],
-    mapping: LogTable,
-    command: NDArray[np.float64],
-    newest: NDArray[np.intp],
+    commands: Commands, switches: NDArray[np.float64] | None, index: NDArray[np.int64], time_s: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Armed flag; where the commands are those of a controller of the user's own, thrust is the flag."""
-    if mapping.unit == "N" or "actuator_armed" not in tables:
-        return cast("NDArray[np.bool_]", (command[np.maximum(newest, 0)] > 0.0).any(axis=1))
-    flag: NDArray[np.bool_] = np.asarray(tables["actuator_armed"]["armed"], bool)
-    index = _newest(_time(tables["actuator_armed"]), time_s)
-    return flag[np.maximum(index, 0)] & (index >= 0)
+    """Armed flag (N,); where the commands are those of a controller of the user's own, thrust is the flag."""
+    if commands.unit == "N" or switches is None:
+        return np.asarray((commands.values[index] > 0.0).any(axis=1))
+    at = newest(switches[:, 0], time_s)
+    return (switches[np.maximum(at, 0), 1] > 0.0) & (at >= 0)
 
 
-def _positions(
-    tables: dict[str, Any], time_s: NDArray[np.float64], axes: tuple[str, ...]
-) -> NDArray[np.float64] | None:
-    table = tables.get("vehicle_local_position")
-    if table is None or len(table["timestamp"]) == 0:
+def _positions(topics: Topics, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(N, 6) position and velocity."""
+    table = topics.get(("vehicle_local_position", 0))
+    if table is None:
         return None
-    at = _time(table)
-    return np.stack([np.interp(time_s, at, table[axis]) for axis in axes], axis=1)
+    state = np.stack([np.asarray(table[name], float) for name in ("x", "y", "z", "vx", "vy", "vz")], axis=1)
+    return interpolated(time_of(table), state, time_s)
 
 
-def _attitudes(tables: dict[str, Any], time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Newest quaternion (w, x, y, z) at each time."""
-    table = tables.get("vehicle_attitude")
-    if table is None or len(table["timestamp"]) == 0 or "q[0]" not in table:
+def _attitudes(topics: Topics, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Newest quaternion (N, 4) w, x, y, z; not interpolated: q and -q are the same attitude."""
+    table = topics.get(("vehicle_attitude", 0))
+    if table is None or "q[0]" not in table:
         return None
     values = np.stack([np.asarray(table[f"q[{k}]"], float) for k in range(4)], axis=1)
-    return values[np.maximum(_newest(_time(table), time_s), 0)]
+    return values[np.maximum(newest(time_of(table), time_s), 0)]
+
+
+def _speeds(table: Any, motors: int, time_s: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Rotor speeds (N, m) in rad/s and when they were read, NaN: not known; None where no ESC speaks."""
+    if table is None or "esc[0].esc_rpm" not in table:
+        return None, None
+    at = time_of(table)
+    index = newest(at, time_s)
+    have = index >= 0
+    speed = np.full((len(time_s), motors), np.nan)
+    read_s = np.full_like(speed, np.nan)
+    for k in range(_ESCS):
+        if f"esc[{k}].esc_rpm" not in table:
+            continue
+        motor = _motor_of(table, k)
+        if not 0 <= motor < motors:
+            continue
+        rpm = np.abs(np.asarray(table[f"esc[{k}].esc_rpm"], float)) * _RPM
+        stamps = np.asarray(table.get(f"esc[{k}].timestamp", table["timestamp"])).astype(np.int64) * 1e-6
+        stamps = np.where(stamps > 0.0, stamps, at)
+        speed[have, motor], read_s[have, motor] = rpm[index[have]], stamps[index[have]]
+    return (speed, read_s) if np.isfinite(speed).any() else (None, None)
+
+
+def _motor_of(table: Any, number: int) -> int:
+    """Motor (from 0) of an ESC: by its output function where it says one, else by its number."""
+    function = table.get(f"esc[{number}].actuator_function")
+    said = 0 if function is None else int(np.median(function))
+    return said - _FIRST_MOTOR if said >= _FIRST_MOTOR else number

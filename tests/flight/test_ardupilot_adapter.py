@@ -99,6 +99,19 @@ def found(adapter: ArduPilotAdapter) -> dict[str, bool | None]:
 # -- what it says of the applet ---------------------------------------------------------------------------------------
 
 
+def test_where_the_motors_have_no_range_that_of_the_throttle_is_asked_for_and_counts(ready: ArduPilotAdapter) -> None:
+    told(ready, "MOT_PWM_MIN", 0.0, 10.0)
+    asked = [m.param_id for m in ready.due(10.3, Permit.LISTEN) if m.get_type() == "PARAM_REQUEST_READ"]
+    assert asked == ["RCMAP_THROTTLE"]
+    assert reason(ready.condition(10.3)) == Reason.READING
+    told(ready, "RCMAP_THROTTLE", 3.0, 10.4)
+    told(ready, "RC3_MIN", 1100.0, 10.4)
+    told(ready, "RC3_MAX", 2000.0, 10.4)
+    assert reason(ready.condition(10.5)) == Reason.CONTRADICTION
+    told(ready, "RC3_MIN", 1003.0, 10.6)
+    assert reason(ready.condition(10.6)) != Reason.CONTRADICTION
+
+
 def test_a_silent_applet_stops_every_command_at_once_and_is_told_to_the_pilot_later(plans: dict[int, Plan]) -> None:
     adapter = ArduPilotAdapter(OCTO, (1, 1), plans, INSTANCE)
     adapter.observe(heartbeat(armed=False), 5.0)

@@ -87,6 +87,24 @@ def test_parameters_that_would_mislead_are_named() -> None:
     assert "FRAME_CLASS is not 17" in checks.advice({**good, "FRAME_CLASS": 3.0}, octo)[0]
 
 
+def test_motors_without_a_range_have_that_of_the_throttle_stick() -> None:
+    octo = vehicle.load("octo-x")
+    unset = {"MOT_PWM_MIN": 0.0, "MOT_PWM_MAX": 0.0}
+    assert checks.further({"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0}) == []
+    assert checks.further(unset) == ["RCMAP_THROTTLE"]
+    moved = {**unset, "RCMAP_THROTTLE": 2.0}
+    assert checks.further(moved) == ["RC2_MIN", "RC2_MAX"]
+    assert checks.contradictions({**moved, "RC2_MIN": 999.0, "RC2_MAX": 2004.0, "RC3_MIN": 1200.0}, octo) == []
+    assert "RC2_MIN is 1100" in checks.contradictions({**moved, "RC2_MIN": 1100.0, "RC2_MAX": 1900.0}, octo)[0]
+
+
+def test_a_motor_more_than_the_airframe_has_is_seen_where_the_frame_does_not_say() -> None:
+    quad = vehicle.load("h250")
+    five = {"SERVO9_FUNCTION": 37.0}
+    assert "SERVO9_FUNCTION drives motor 5" in checks.misfits(five, quad)[0]
+    assert checks.misfits({**five, "FRAME_CLASS": 1.0}, quad) == []
+
+
 def test_the_card_holds_scripts_tables_and_parameters(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "nff_companion.cli.main", "ardupilot", "install", "--to", str(tmp_path), "--json"],

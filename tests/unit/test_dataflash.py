@@ -52,7 +52,9 @@ def test_a_log_of_another_airframe_or_of_nothing_is_refused(tmp_path: Path) -> N
 
 
 def test_a_flight_of_quite_another_vehicle_is_not_trained_on() -> None:
-    wrong = vehicle.load("h250")
+    with pytest.raises(LogError, match="the airframe has 4 motors"):
+        read(LOG, vehicle.load("h250"))
+    wrong = vehicle.load("arducopter-octa-x", thrust_to_weight=12.0)
     _, rows = read(LOG, wrong)
     with pytest.raises(LogError, match="check airframe"):
         record(wrong, 25.0, [s for _, s in rows], "flight.bin")

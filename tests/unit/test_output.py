@@ -13,6 +13,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from nff_companion.cli import output
+from nff_companion.cli.operate import _table
 from sitl.trials.process import config_text, free_port
 
 _LOGS = """
@@ -122,3 +126,34 @@ def test_warnings_and_traces_go_the_same_way() -> None:
     assert re.search(r"^\S+ WARNING py.warnings: .*strange", text, re.MULTILINE)
     assert "ZeroDivisionError: division by zero" in text
     assert text.count("once") == 1
+
+
+@pytest.mark.parametrize(
+    "text", ["none[/x].tlog is not a file", "a [[rotor]] needs", "set [log] in the file", "[red]x"]
+)
+def test_texts_of_others_are_no_markup(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    output.say(text)
+    output.say_error(text)
+    output.console.print(text)
+    output.console.print(f"answer: {text}", highlight=False)
+    said = capsys.readouterr().err.splitlines()
+    assert said == [text, f"nff: {text}", text, f"answer: {text}"]
+
+
+def test_a_status_with_brackets_in_it_is_shown_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    state: dict[str, Any] = {
+        "airframe": "[lab]",
+        "mode": "observe",
+        "reason": "[/x] contradicts",
+        "sample_age_s": None,
+        "rate_hz": 1.0,
+    }
+    state |= {"motors": [{"motor": 1, "effectiveness": 1.0, "deviation": None, "decision": "healthy"}], "step_us": 1.0}
+    state |= {"autopilot": {"allocation": "[own]"}, "counters": {"bad_samples": 0, "bad_frames": 0}, "unallocated": 0}
+    state |= {"slow_streams": {}, "speed_sensor_faults": []}
+    output.console.print(_table(state))
+    said = " ".join(capsys.readouterr().err.split())
+    assert "[lab]" in said
+    assert "[/x] contradicts" in said
+    assert "[own]" in said
+    assert "healthy" in said

@@ -100,6 +100,7 @@ class ArduPilotAdapter:
         before = dict(self._reader.values)
         if self._reader.observe(message) is None or self._reader.values == before:
             return
+        self._reader.want(checks.further(self._reader.values))
         self._contradictions = checks.contradictions(self._reader.values, self._vehicle)
         self._condition = None
 

@@ -163,8 +163,8 @@ class CompanionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     ] = 60.0
     force_max_m_s2: Annotated[float, span(50.0, 2000.0, "m/s^2", "the same of the specific force")] = 400.0
     time_max_s: Annotated[
-        float, span(1e5, 1e12, "s", "of the autopilot's clock: a later time is a fault, and loses its milliseconds")
-    ] = 1e8
+        float, span(1e5, 1e12, "s", "of the autopilot's clock, since boot or since 1970: a later time is a fault")
+    ] = 1e10
     reordered_s: Annotated[
         float, span(0.0, 1.0, "s", "a sample this much older than the last one came twice or late: ignored, no jump")
     ] = 0.1

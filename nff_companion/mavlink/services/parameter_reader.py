@@ -54,6 +54,13 @@ class ParameterReader:
         self.kinds: dict[str, int] = {}
         self._complete = False
 
+    def want(self, names: Iterable[str]) -> None:
+        """These too."""
+        for name in names:
+            if name not in self._wanted:
+                self._wanted[name] = (0, -float("inf"))
+                self._complete = False
+
     def observe(self, message: Message) -> str | None:
         """Take a PARAM_VALUE; its name when it is one of ours and a number."""
         name = name_of(message)

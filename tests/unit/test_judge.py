@@ -1,0 +1,122 @@
+"""When a log says nothing: outputs too seldom for the motion, a pair that cannot be declared, another airframe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nff_companion.core import vehicle
+from nff_companion.core.sample import Sample
+from nff_companion.core.vehicle import GRAVITY_M_S2, ROLL, Vehicle
+from nff_companion.replay.judge import Judgement, judge
+
+RATE_HZ = 200.0
+QUAD = vehicle.load("h250")
+
+
+def flown(
+    model: Vehicle,
+    rng: np.random.Generator,
+    *,
+    sway: Callable[[float], float] = lambda time_s: 0.0,
+    logged_every: int = 1,
+    lost: dict[int, float] | None = None,
+    seconds: float = 12.0,
+    fail_s: float = 8.0,
+) -> Judgement:
+    """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left; from
+    ``fail_s`` on without the motors ``lost`` (share that is left). What is logged is every so many-th output, held."""
+    left = np.sign(model.effectiveness_si[ROLL])
+    rate, lagged, logged = np.zeros(3), np.full(model.motors, model.hover), np.full(model.motors, model.hover)
+    rows: list[tuple[float, Sample]] = []
+    for k in range(round(seconds * RATE_HZ)):
+        time_s = 10.0 + k / RATE_HZ
+        asked = model.hover * (1.0 + sway(k / RATE_HZ) * left)
+        if k % logged_every == 0:
+            logged = asked
+        lagged = lagged + (asked - lagged) * (1.0 - np.exp(-1.0 / RATE_HZ / model.motor.time_constant_up_s))
+        given = lagged.copy()
+        for motor, share in (lost or {}).items():
+            given[motor - 1] *= share if k / RATE_HZ > fail_s else 1.0
+        up, *turning = model.acceleration_effectiveness @ given
+        rate = rate + (np.array(turning) - 2.0 * rate * (k / RATE_HZ <= fail_s)) / RATE_HZ
+        rows.append((time_s, sample(time_s, rate + 0.01 * rng.standard_normal(3), up, model, logged)))
+    return judge(model, rows, RATE_HZ, 10.0, "RCOU", RATE_HZ / logged_every)
+
+
+def sample(time_s: float, rate: NDArray[np.float64], up: float, model: Vehicle, thrust: NDArray[np.float64]) -> Sample:
+    return Sample(
+        time_s=time_s,
+        gyro_rad_s=rate,
+        specific_force_m_s2=np.array([0.0, 0.0, -up]),
+        output=model.output_for(thrust),
+        armed=True,
+    )
+
+
+def test_outputs_that_come_too_seldom_for_the_motion_are_no_evidence(rng: np.random.Generator) -> None:
+    def limit_cycle(time_s: float) -> float:
+        return 0.3 * np.sin(2.0 * np.pi * 9.7 * time_s)
+
+    fast = flown(QUAD, rng, sway=limit_cycle)
+    assert fast.verdict == "no_fault"
+    assert fast.explained is not None
+    assert fast.explained[ROLL] > 0.5
+    seldom = flown(QUAD, rng, sway=limit_cycle, logged_every=20)
+    assert seldom.verdict == "not_judged"
+    assert "RCOU at 10 Hz is too seldom" in seldom.reason
+    assert seldom.faults == []
+
+
+def test_a_slow_motion_is_judged_by_outputs_at_10_hz(rng: np.random.Generator) -> None:
+    slow = flown(QUAD, rng, sway=lambda time_s: 0.1 * np.sin(2.0 * np.pi * 0.5 * time_s), logged_every=20)
+    assert slow.verdict == "no_fault"
+
+
+def test_a_pair_that_a_quadrotor_cannot_lose_is_said_and_not_dropped(rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, lost={1: 0.0, 3: 0.1}, seconds=10.0)
+    assert found.verdict == "not_judged"
+    assert "motors 1 and 3" in found.reason
+
+
+def test_one_lost_motor_of_a_quadrotor_is_a_fault(rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, lost={2: 0.0}, seconds=9.0)
+    assert found.verdict == "fault"
+    assert [fault.motor for fault in found.faults] == [2]
+    assert found.faults[0].time_s == pytest.approx(8.0, abs=0.2)
+
+
+def test_a_motor_that_works_again_is_said_to_be_lifted(rng: np.random.Generator) -> None:
+    octo = vehicle.load("octo-x")
+    left = {"at": 0.0}
+
+    def back(time_s: float) -> float:
+        left["at"] = time_s
+        return 0.0
+
+    class Back(dict[int, float]):
+        def items(self):  # type: ignore[no-untyped-def]
+            return {3: 0.0 if left["at"] < 8.5 else 1.0}.items()
+
+    found = flown(octo, rng, sway=back, lost=Back({3: 0.0}), seconds=14.0)
+    assert [fault.motor for fault in found.faults] == [3]
+    lifted = found.faults[0].lifted_s
+    assert lifted is not None
+    assert 8.5 < lifted < 13.0
+
+
+def test_a_vehicle_that_is_heavier_than_its_file_does_not_fit(rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, lost=dict.fromkeys(range(1, 5), 0.3), fail_s=-1.0)
+    assert found.verdict == "not_judged"
+    assert "does not fit: on the thrust axis" in found.reason
+
+
+def test_nothing_is_said_of_a_flight_on_the_ground() -> None:
+    still = [(0.01 * k, sample(0.01 * k, np.zeros(3), GRAVITY_M_S2, QUAD, np.full(4, 0.02))) for k in range(500)]
+    found = judge(QUAD, still, 100.0, 0.0, "RCOU", 100.0)
+    assert found.verdict == "not_judged"
+    assert "of what hover needs" in found.reason
+    assert found.explained is None
