@@ -27,6 +27,7 @@ MOVED_MAX_S = 0.15  # a position is carried on by its velocity for so long
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_SERVOS = 16
 _WRAP_S = 1e-6 * 2**32  # SERVO_OUTPUT_RAW has 32 bits of microseconds: 71.6 minutes
+_SAME_TIME_S = 1e-5  # times of one clock, seen through another's rounding (Unix time: to 0.2 us)
 _OTHER_CLOCK_S = 10.0  # no message is as old as this: it is another clock
 _IGNORES_VELOCITY = (
     dialect.POSITION_TARGET_TYPEMASK_VX_IGNORE
@@ -154,7 +155,7 @@ class TelemetryDecoder:
         read_s = self._time_s(message, 1e-6 * message.time_usec)
         for k, rpm in enumerate(message.rpm):
             motor = message.index + k
-            if motor < self._vehicle.motors and read_s != self._speed_s[motor]:
+            if motor < self._vehicle.motors and not abs(read_s - self._speed_s[motor]) < _SAME_TIME_S:
                 self._read_speed(motor, abs(rpm) * _RPM, read_s)
 
     def _esc_telemetry(self, message: Message) -> None:

@@ -92,3 +92,19 @@ def test_outputs_are_taken_from_the_channels_that_are_named() -> None:
     found = decoder.observe(dialect.MAVLink_highres_imu_message(1_000_000, *[0.0] * 13, 0x3F))
     assert found is not None
     np.testing.assert_allclose(found.output, [0.1, 0.2, 0.3, 0.4])
+
+
+@pytest.mark.parametrize("imu_s", [BOOT_S, UNIX_S, 83.1234567])
+def test_a_rotor_speed_that_is_only_repeated_is_not_read_again(imu_s: float) -> None:
+    decoder = TelemetryDecoder(OCTA)
+    times = set()
+    for k in range(400):
+        usec = round(1e6 * (BOOT_S + 0.013 * (k // 20)))
+        decoder.observe(dialect.MAVLink_esc_status_message(0, usec, [5000] * 4, [12.0] * 4, [1.0] * 4))
+        found = decoder.observe(
+            dialect.MAVLink_highres_imu_message(round(1e6 * (imu_s + 0.0007 * k)), *[0.0] * 13, 0x3F)
+        )
+        assert found is not None
+        assert found.rotor_speed_time_s is not None
+        times.add(float(found.rotor_speed_time_s[0]))
+    assert len(times) in (20, 21)  # the first may be read before the first sample told the time
