@@ -12,6 +12,7 @@ from nff_companion.errors import ConfigError
 
 if TYPE_CHECKING:
     from nff_companion.frames.catalogue import Frame
+    from nff_companion.frames.parameter_file import Parameters
     from nff_companion.frames.reading import Reading
 
 app = typer.Typer(no_args_is_help=True, help="Frames by name, and the airframe file of your vehicle.")
@@ -137,21 +138,32 @@ def new(
     parameters: Annotated[
         Path | None, typer.Option("--parameters", help="Parameter file of the autopilot: .param, .parm, .params.")
     ] = None,
+    live: Annotated[str, typer.Option("--from", help="Ask a live autopilot: udpin:0.0.0.0:14550 and others.")] = "",
+    timeout: Annotated[float, typer.Option(help="For --from, in s.", min=1.0)] = 60.0,
     autopilot: Annotated[str, typer.Option(help="Whose defaults, without parameters: ardupilot or px4.")] = "",
     json: Json = False,
 ) -> None:
     """Make an airframe file of a frame's name or the autopilot's parameters; what nobody said is marked as guessed."""
-    from nff_companion.frames import draft
+    from nff_companion.frames import draft, parameter_file
 
     if out.suffix != ".toml":
         raise ConfigError(f"--out {out}: the suffix must be .toml")
-    reading = _reading(frame, parameters, autopilot)
-    source = f"frame {frame}" if parameters is None else f"parameter file {parameters.name}"
+    if live and parameters is not None:
+        raise ConfigError(f"--from {live} and --parameters {parameters}: give one of them")
+    known = _asked(live, timeout) if live else None if parameters is None else parameter_file.read(parameters)
+    reading = _reading(frame, known, autopilot)
+    source = (
+        f"frame {frame}"
+        if known is None
+        else "a live autopilot"
+        if live
+        else f"parameter file {parameters.name if parameters else out.stem}"
+    )
     made = draft.draft(reading, draft.Size(arm, mass), out.stem, source)
     draft.write(made.text, out)
     if json:
-        known = None if reading.frame is None else reading.frame.name
-        print_json({"file": str(out), "frame": known, "guessed": made.guessed, "notes": reading.notes})
+        named = None if reading.frame is None else reading.frame.name
+        print_json({"file": str(out), "frame": named, "guessed": made.guessed, "notes": reading.notes})
         return
     _say(f"{out}: {reading.title}, {reading.motors} motors")
     for note in reading.notes:
@@ -162,18 +174,25 @@ def new(
     )
 
 
-def _reading(name: str, path: Path | None, autopilot: str) -> Reading:
-    """What is known, of a frame's name or a parameter file. Raises ConfigError."""
+def _asked(url: str, timeout_s: float) -> Parameters:
+    """Raises ConfigError, EndpointError."""
+    from nff_companion.daemon import live_parameters
+    from nff_companion.frames.parameter_file import Parameters
+
+    return Parameters(live_parameters.read(url, timeout_s), f"autopilot at {url}")
+
+
+def _reading(name: str, parameters: Parameters | None, autopilot: str) -> Reading:
+    """What is known, of a frame's name or parameters. Raises ConfigError."""
     from nff_companion.frames import ardupilot, catalogue, parameter_file, px4
 
     if autopilot not in ("", "ardupilot", "px4"):
         raise ConfigError(f"--autopilot {autopilot!r}: give ardupilot or px4")
     frame = catalogue.by_name(name) if name else None
-    if path is None:
+    if parameters is None:
         if frame is None:
-            raise ConfigError("give --frame NAME (`nff airframe list` names them) or --parameters FILE")
+            raise ConfigError("give --frame NAME (`nff airframe list` names them), --parameters FILE or --from URL")
         return (px4 if autopilot == "px4" else ardupilot).defaults(frame)
-    parameters = parameter_file.read(path)
     spoken = parameter_file.autopilot(parameters)
     if autopilot and autopilot != spoken:
         raise ConfigError(f"{parameters.origin} is of {spoken}, and --autopilot {autopilot} was given: leave it out")
