@@ -29,6 +29,7 @@ _MAX_SERVOS = 16
 _WRAP_S = 1e-6 * 2**32  # SERVO_OUTPUT_RAW has 32 bits of microseconds: 71.6 minutes
 _SAME_TIME_S = 1e-5  # times of one clock, seen through another's rounding (Unix time: to 0.2 us)
 _OTHER_CLOCK_S = 10.0  # no message is as old as this: it is another clock
+_FOLLOWED = 0.05  # s/s by which another clock may fall behind and still be followed
 _IGNORES_VELOCITY = (
     dialect.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | dialect.POSITION_TARGET_TYPEMASK_VY_IGNORE
@@ -55,19 +56,23 @@ class _Clock:
 
     def __init__(self, wrap_s: float = 0.0) -> None:
         """``wrap_s``: after so long the time begins anew; 0: never."""
-        self._wrap_s, self._shift_s, self._last_s = wrap_s, 0.0, np.nan
+        self._wrap_s, self._shift_s = wrap_s, 0.0
+        self._last_s, self._advanced_s = np.nan, -np.inf  # the last stamp, and the sample at which it was new
 
     def age_s(self, stamp_s: float, now_s: float) -> float:
         """Of a message that has just come, at a sample of ``now_s``."""
         age_s = self._between(stamp_s + self._shift_s, now_s)
-        if abs(age_s) > _OTHER_CLOCK_S and stamp_s != self._last_s:  # a time that stands still is old, no other clock
+        if stamp_s == self._last_s:  # a time that stands still is old, no other clock
+            return age_s
+        if abs(age_s) > _OTHER_CLOCK_S:
             age_s = self._between(stamp_s, now_s)
             self._shift_s = 0.0 if abs(age_s) <= _OTHER_CLOCK_S else age_s
             age_s -= self._shift_s
-        elif self._shift_s and age_s < 0.0:
-            self._shift_s += age_s
-            age_s = 0.0
-        self._last_s = stamp_s
+        elif self._shift_s:  # clocks drift apart, and are set
+            move_s = min(age_s, _FOLLOWED * max(now_s - self._advanced_s, 0.0))
+            self._shift_s += move_s
+            age_s -= move_s
+        self._last_s, self._advanced_s = stamp_s, now_s
         return age_s
 
     def _between(self, stamp_s: float, now_s: float) -> float:
@@ -105,7 +110,7 @@ class TelemetryDecoder:
         self._speed, self._speed_s = np.full(m, np.nan), np.full(m, np.nan)
         self._speed_count = np.full(m, -1)
         self._now_s: float | None = None  # of the last inertial sample
-        self._clocks: dict[str, _Clock] = {"SERVO_OUTPUT_RAW": _Clock(_WRAP_S)}
+        self._clocks: dict[tuple[str, int], _Clock] = {("SERVO_OUTPUT_RAW", 0): _Clock(_WRAP_S)}
         self._handlers = {
             "HIGHRES_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servos,
@@ -152,7 +157,7 @@ class TelemetryDecoder:
 
     def _esc_status(self, message: Message) -> None:
         """Four motors from ``index``, at the time of the message; a message that repeats itself is not new."""
-        read_s = self._time_s(message, 1e-6 * message.time_usec)
+        read_s = self._time_s(message, 1e-6 * message.time_usec, message.index)
         for k, rpm in enumerate(message.rpm):
             motor = message.index + k
             if motor < self._vehicle.motors and not abs(read_s - self._speed_s[motor]) < _SAME_TIME_S:
@@ -192,11 +197,15 @@ class TelemetryDecoder:
         self._target_yaw = None if ignored & dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE else message.yaw
         self._target_s = self._time_s(message, 1e-3 * message.time_boot_ms)
 
-    def _time_s(self, message: Message, stamp_s: float) -> float:
-        """Time of a message in that of the samples; before the first of them as it stands."""
+    def _time_s(self, message: Message, stamp_s: float, index: int = 0) -> float:
+        """Time of a message in that of the samples; before the first of them as it stands. Messages of one kind and
+        another ``index`` are other streams, of which one may stop."""
         if self._now_s is None:
             return stamp_s
-        clock = self._clocks.setdefault(message.get_type(), _Clock())
+        stream = message.get_type(), index
+        clock = self._clocks.get(stream)
+        if clock is None:
+            clock = self._clocks[stream] = _Clock()
         return self._now_s - clock.age_s(stamp_s, self._now_s)
 
     @staticmethod

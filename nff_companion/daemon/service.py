@@ -19,7 +19,6 @@ from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.startup import endpoints, prepare
 from nff_companion.daemon.status_server import StatusServer
 from nff_companion.errors import NffError
-from nff_companion.mavlink.codec import has_fast_crc
 from nff_companion.mavlink.services import host_status
 
 log = logging.getLogger("nff")
@@ -40,8 +39,6 @@ class Daemon:
         self._stopping = False
         self._next_watchdog_s = -float("inf")
         self._logged: tuple[object, ...] = ()
-        if not has_fast_crc():
-            log.warning("fastcrc is not installed: parsing takes four times as long; pip install fastcrc")
 
     def run(self) -> None:
         """Until SIGTERM or SIGINT. Raises nothing that the link or its data may cause."""

@@ -38,15 +38,6 @@ _START = re.compile(b"[\xfd\xfe]")
 _FORMATS = formats(dialect)
 
 
-def has_fast_crc() -> bool:
-    """Whether the checksum is computed by fastcrc; without it parsing takes four times as long."""
-    try:
-        importlib.import_module("fastcrc")
-    except ImportError:
-        return False
-    return True
-
-
 class Codec:
     """Parser and packer of one link; counts what did not parse."""
 

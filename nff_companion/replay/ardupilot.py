@@ -51,6 +51,9 @@ def channels(values: Mapping[str, float], motors: int, outputs: int) -> list[int
             raise NotJudged(f"motor {motor} is on output {channel}: {outputs} are logged")
         if channel is None and f"SERVO{motor}_FUNCTION" in values:
             raise NotJudged(f"no SERVOn_FUNCTION is {checks.function_of(motor)}, motor {motor}: another airframe?")
+    for motor, channel in enumerate(found, start=1):
+        if channel not in (None, motor):
+            raise NotJudged(f"motor {motor} is on output {channel}, and where all others are is not in the log")
     return None
 
 

@@ -125,7 +125,8 @@ def _whole(path: Path) -> tuple[bytes, int]:
         followed = data.startswith(_HEAD, end) or len(data) - end < _PAGE
         # A record that is cut off has the next one within it.
         if size < 3 or end > len(data) or not (followed or data.find(_HEAD, at + 3, end) < 0):
-            kept.append(data[begin:at])
+            if at > begin:
+                kept.append(data[begin:at])
             at += 1
             begin, lost = at, lost + 1
             continue

@@ -49,4 +49,5 @@ def line(flight: dict[str, Any]) -> str:
         + ")"
         for fault in flight["faults"]
     ]
-    return f"{flight['file']}{system}: {', '.join(faults) or 'no fault'} ({flight['judged_s']:.1f} s judged)"
+    note = "" if not flight["reason"] else f"; {flight['reason']}"
+    return f"{flight['file']}{system}: {', '.join(faults) or 'no fault'} ({flight['judged_s']:.1f} s judged{note})"

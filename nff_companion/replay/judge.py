@@ -26,7 +26,8 @@ from nff_companion.core.vehicle import AXES, PITCH, ROLL, Vehicle
 
 Verdict = Literal["fault", "no_fault", "not_judged"]
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
-_BEGIN_S = 1.0  # of each flight left out of what is explained: filters and take-off
+_BEGIN_S = 1.0  # of each flight left out of what is explained: take-off
+_FILTERS_S = 0.3  # and so long after a sample that could not be used: the filters start anew
 _BEFORE_S = 0.3  # and so long before a declaration: the fault is there before it is declared
 _LEAST_S = 1.0  # of judged flight; less says nothing
 _SHARE_MIN = 0.8  # of the samples of a flight that must have been usable
@@ -94,12 +95,13 @@ def judge(
     decision = Decision(vehicle.motors, vehicle.axes, companion.tuning.decision)
     watch, state, nobody = _Watch(), companion.start(Mode.OBSERVE), Condition()
     settling: list[tuple[float, Event, Fault]] = []
-    flying_since_s: float | None = None
+    flying_since_s = estimating_since_s = None
     for stamp, sample in rows:
         before = state
         state, output = companion.step(state, sample, nobody)
         _count(watch, vehicle, before, state, sample)
-        flying_since_s = None if output.estimate is None else (flying_since_s or sample.time_s)
+        flying_since_s = (flying_since_s or sample.time_s) if state.phase.flying else None
+        estimating_since_s = (estimating_since_s or sample.time_s) if output.estimate is not None else None
         for event in output.events:
             fault = _event(watch, event, stamp - first_s)
             if fault is not None:
@@ -108,9 +110,10 @@ def judge(
             _, event, fault = settling.pop(0)
             if output.flying:
                 fault.effectiveness = min(float(output.effectiveness[event.motor - 1]), 1.0)
-        if flying_since_s is not None and not watch.faults:
+        if state.estimate is not None and output.estimate is not None and not watch.faults:
             _doubt(watch, decision, output, sample.time_s)
-            if sample.time_s - flying_since_s > _BEGIN_S and state.estimate is not None and output.estimate is not None:
+            begun = flying_since_s is not None and sample.time_s - flying_since_s > _BEGIN_S
+            if begun and estimating_since_s is not None and sample.time_s - estimating_since_s > _FILTERS_S:
                 watch.measured.append(state.estimate.residual.measured)
                 watch.residual.append(output.estimate.raw)
     return _judgement(watch, vehicle, state.bad_samples, rate_hz, (outputs, outputs_hz))
@@ -161,8 +164,9 @@ def _doubt(watch: _Watch, decision: Decision, output: Output, time_s: float) -> 
 
 def _judgement(watch: _Watch, vehicle: Vehicle, refused: int, rate_hz: float, outputs: tuple[str, float]) -> Judgement:
     explained = None
-    wrong = ""
+    wrong = note = ""
     healthy = len(watch.measured) - (round(_BEFORE_S * rate_hz) if watch.faults else 0)
+    healthy = max(healthy, 0)
     if healthy >= _LEAST_S * rate_hz:
         measured, residual = np.array(watch.measured[:healthy]), np.array(watch.residual[:healthy])
         explained = _explained(measured, residual)
@@ -173,14 +177,18 @@ def _judgement(watch: _Watch, vehicle: Vehicle, refused: int, rate_hz: float, ou
             or _unforetold(vehicle, measured[last], residual[last], *outputs)
         )
         explained = np.maximum(explained, 0.0)
+    if explained is None and watch.faults:
+        note = f"not checked against healthy flight, of which there are {healthy / rate_hz:.1f} s"
     if wrong and watch.faults:
         named = " and ".join(str(fault.motor) for fault in watch.faults)
         wrong += f" (motor {named} would have been declared)"
     if not watch.faults:
-        wrong = "; or ".join(filter(None, (_suspected(watch, vehicle), wrong or _unseen(watch, vehicle, rate_hz))))
+        wrong = "; or ".join(
+            filter(None, (_suspected(watch, vehicle), wrong or _unseen(watch, vehicle, rate_hz, healthy)))
+        )
     verdict: Verdict = "not_judged" if wrong else "fault" if watch.faults else "no_fault"
     faults = watch.faults if verdict == "fault" else []
-    return Judgement(verdict, wrong, watch.judged_s, refused, explained, faults)
+    return Judgement(verdict, wrong or note, watch.judged_s, refused, explained, faults)
 
 
 def _explained(measured: NDArray[np.float64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -219,8 +227,9 @@ def _unforetold(
     return f"the outputs do not foretell the motion: {found}; check airframe, inertia and motor order"
 
 
-def _unseen(watch: _Watch, vehicle: Vehicle, rate_hz: float) -> str:
-    """Why too little was judged for "no fault"; empty when enough was."""
+def _unseen(watch: _Watch, vehicle: Vehicle, rate_hz: float, healthy: int) -> str:
+    """Why too little was judged for "no fault"; empty when enough was. ``healthy``: samples that the model could be
+    compared with."""
     if watch.refused_armed + watch.used_armed == 0:
         return "the vehicle is never armed in this log"
     refused_s = watch.refused_armed / rate_hz
@@ -234,6 +243,8 @@ def _unseen(watch: _Watch, vehicle: Vehicle, rate_hz: float) -> str:
             f"{watch.judged_s:.1f} s of flight were judged: the outputs reach {most:.2f} of what hover needs;"
             " too short a flight, or another airframe, unit or output?"
         )
+    if healthy < _LEAST_S * rate_hz:
+        return f"{healthy / rate_hz:.1f} s of flight are whole enough to see whether the airframe fits: too short?"
     return ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 
 
@@ -16,7 +17,9 @@ class Parameters:
         return len(self._times)
 
     def put(self, time_s: float, name: str, value: float) -> None:
-        """One value as it was logged, in the order of the log."""
+        """One value as it was logged, in the order of the log; what is no number was spoilt, and does not count."""
+        if not math.isfinite(value):
+            return
         self._times.setdefault(name, []).append(time_s)
         self._values.setdefault(name, []).append(value)
 

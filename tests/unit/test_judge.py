@@ -26,6 +26,7 @@ def flown(
     lost: dict[int, float] | None = None,
     seconds: float = 12.0,
     fail_s: float = 8.0,
+    spoilt_every: int = 0,
 ) -> Judgement:
     """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left; from
     ``fail_s`` on without the motors ``lost`` (share that is left). What is logged is every so many-th output, held."""
@@ -43,7 +44,8 @@ def flown(
             given[motor - 1] *= share if k / RATE_HZ > fail_s else 1.0
         up, *turning = model.acceleration_effectiveness @ given
         rate = rate + (np.array(turning) - 2.0 * rate * (k / RATE_HZ <= fail_s)) / RATE_HZ
-        rows.append((time_s, sample(time_s, rate + 0.01 * rng.standard_normal(3), up, model, logged)))
+        told = logged * np.nan if spoilt_every and k % spoilt_every == 0 else logged
+        rows.append((time_s, sample(time_s, rate + 0.01 * rng.standard_normal(3), up, model, told)))
     return judge(model, rows, RATE_HZ, 10.0, "RCOU", RATE_HZ / logged_every)
 
 
@@ -120,3 +122,18 @@ def test_nothing_is_said_of_a_flight_on_the_ground() -> None:
     assert found.verdict == "not_judged"
     assert "of what hover needs" in found.reason
     assert found.explained is None
+
+
+@pytest.mark.parametrize("spoilt_every", [0, 190, 60])
+def test_samples_that_cannot_be_used_hide_no_airframe_that_does_not_fit(
+    rng: np.random.Generator, spoilt_every: int
+) -> None:
+    weak = dict.fromkeys(range(1, 5), 0.3)
+    found = flown(QUAD, rng, lost=weak, fail_s=-1.0, spoilt_every=spoilt_every)
+    assert found.verdict == "not_judged"
+    assert found.reason
+
+
+def test_a_flight_in_which_no_stretch_is_whole_is_not_judged(rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, spoilt_every=40)
+    assert (found.verdict, found.faults) == ("not_judged", [])

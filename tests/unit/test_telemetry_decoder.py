@@ -108,3 +108,37 @@ def test_a_rotor_speed_that_is_only_repeated_is_not_read_again(imu_s: float) -> 
         assert found.rotor_speed_time_s is not None
         times.add(float(found.rotor_speed_time_s[0]))
     assert len(times) in (20, 21)  # the first may be read before the first sample told the time
+
+
+def test_rotor_speeds_of_one_index_grow_old_while_another_goes_on() -> None:
+    decoder = TelemetryDecoder(OCTA)
+    read_s = np.nan
+    for k in range(6000):
+        at_usec = round(1e6 * BOOT_S) + 5000 * k
+        for index, usec in ((0, at_usec), (4, round(1e6 * BOOT_S) + 5000 * min(k, 400))):
+            decoder.observe(dialect.MAVLink_esc_status_message(index, usec, [5000] * 4, [12.0] * 4, [1.0] * 4))
+        found = decoder.observe(dialect.MAVLink_highres_imu_message(at_usec, *[0.0] * 13, 0x3F))
+        assert found is not None
+        assert found.rotor_speed_time_s is not None
+        read_s = float(found.rotor_speed_time_s[5])
+    assert read_s == pytest.approx(BOOT_S + 2.0, abs=0.01)
+
+
+@pytest.mark.parametrize("drift", [-2e-4, 0.0, 5e-5, 2e-4])
+def test_clocks_that_drift_apart_are_followed(drift: float) -> None:
+    telemetry = Telemetry(imu_s=BOOT_S, servo_s=UNIX_S, state_s=UNIX_S)
+    for k in range(25_000):
+        there_s = (1.0 - drift) * 0.09 * k
+        found = telemetry.sample(0.09 * k, there_s, there_s)
+        if k > 1:
+            assert np.isfinite(found.output).all(), f"after {0.09 * k} s"
+
+
+@pytest.mark.parametrize("step_s", [-2.0, -0.15, 0.15, 2.0, 3600.0])
+def test_a_clock_that_is_set_is_followed_again(step_s: float) -> None:
+    telemetry = Telemetry(imu_s=BOOT_S, servo_s=UNIX_S, state_s=UNIX_S)
+    for k in range(16_000):
+        there_s = 0.005 * k + (step_s if k > 200 else 0.0)
+        found = telemetry.sample(0.005 * k, there_s, there_s)
+    assert np.isfinite(found.output).all()
+    assert found.quaternion is not None
