@@ -219,7 +219,11 @@ class TelemetryDecoder:
         return position + velocity * age_s
 
     def _imu(self, message: Message) -> Sample:
-        time_s = self._now_s = 1e-6 * message.time_usec
+        time_s = 1e-6 * message.time_usec
+        if self._now_s is None and np.isfinite(self._output_s):
+            # Outputs that came first, by a clock that may have wrapped.
+            self._output_s = time_s - self._clocks["SERVO_OUTPUT_RAW", 0].age_s(self._output_s, time_s)
+        self._now_s = time_s
         fresh = abs(time_s - self._output_s) <= OUTPUT_AGE_MAX_S
         located = abs(time_s - self._position_s) <= STATE_AGE_MAX_S
         aimed = abs(time_s - self._target_s) <= STATE_AGE_MAX_S

@@ -43,7 +43,8 @@ def fly(sets: list[list[int]]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.timeout(600)
-def test_single_failures_are_named_and_reallocated_by_the_applet() -> None:
+def test_single_failures_are_named_and_reallocated_by_the_applet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "FLY_ON_S", 8.0)
     for flight in fly([[1], [4], [6], [7]]):
         assert flight["survived"]
         assert flight["named"] == flight["motors"]

@@ -156,7 +156,8 @@ class TestRealFlights:
     def test_rotor_1_is_named_first_and_never_early_in_any_frame(self, quarters: int) -> None:
         model = vehicle.load("h250")
         seen = model.renumbered(quarters)
-        for path in self.logs():
+        # All flights as they are; each turn of the frame with three of them.
+        for path in self.logs() if quarters == 0 else self.logs()[quarters - 1 :: 4]:
             before, _ = self.switch_s(path)
             _, rows = read(path, model)
             companion = Companion(seen, rate_of(s for _, s in rows))

@@ -10,6 +10,7 @@ import pytest
 
 from nff_companion.cli.flight import parse_failures
 from nff_companion.errors import ConfigError
+from sitl.trials import survey
 from sitl.trials.research.detectors import parts_of
 from sitl.trials.survey import SurveyOptions, failure_sets, run, summary
 
@@ -17,7 +18,8 @@ NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 
 
 @pytest.mark.parametrize("detector", ["sparse", "imm"])
-def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str) -> None:
+def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "FLY_ON_S", 6.0)
     document = run(SurveyOptions(seeds=1, first_seed=2, detector=detector), [(3,)], workers=1)
     (flight,) = document["flights"]
     assert flight["seed"] == 2
