@@ -53,7 +53,10 @@ def test_single_failures_are_named_and_reallocated_by_the_applet(monkeypatch: py
 
 
 @pytest.mark.timeout(600)
-def test_of_simultaneous_doubles_none_that_stock_survives_is_lost_and_most_others_are_saved() -> None:
+def test_of_simultaneous_doubles_none_that_stock_survives_is_lost_and_most_others_are_saved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(survey, "FLY_ON_S", 10.0)
     flights = fly(STOCK_CRASHES + STOCK_FLIES)
     assert sorted(f["motors"] for f in flights if not f["baseline_survived"]) == sorted(STOCK_CRASHES)
     assert len(STOCK_FLIES) == 4
