@@ -140,6 +140,7 @@ def _figures(server: Server, recorder: Recorder, options: DemoOptions, wall_s: f
         acted=port.accepted > 0,
         late_cycles=server.late_cycles,
         lost_s=server.lost_s,
+        crashed=bool(server.fleet.state.crashed[0]),
     )
 
 

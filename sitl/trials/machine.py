@@ -27,6 +27,7 @@ class Figures:
     acted: bool  # the autopilot had something of the companion's in force
     late_cycles: int = 0  # times that our own server was a quarter of a second behind
     lost_s: float = 0.0  # which it then gave up
+    crashed: bool = False
 
     @property
     def clock_ratio(self) -> float:
@@ -55,7 +56,8 @@ def _reasons(f: Figures) -> list[str]:
     reasons = []
     if f.clock_ratio < _CLOCK_RATIO:
         reasons.append(f"the vehicle's clock ran at {f.clock_ratio:.2f} of the wall clock")
-    if f.late_cycles:
+    # The vehicle's time stands still with it: where it flew on, helped if that was to be expected, no harm was done.
+    if f.late_cycles and (f.crashed or (f.expected and not f.acted)):
         count = "once" if f.late_cycles == 1 else f"{f.late_cycles} times"
         reasons.append(f"the vehicle stood still {count} and lost {f.lost_s:.2f} s")
     if f.rate_hz is None:

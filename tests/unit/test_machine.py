@@ -27,7 +27,8 @@ def test_a_machine_that_keeps_up_is_not_blamed() -> None:
     ("change", "reason"),
     [
         ({"wall_s": 25.0}, "clock ran at 0.80 of the wall clock"),
-        ({"late_cycles": 2, "lost_s": 0.61}, "lost 0.61 s"),
+        ({"late_cycles": 2, "lost_s": 0.61, "crashed": True}, "stood still 2 times and lost 0.61 s"),
+        ({"late_cycles": 1, "lost_s": 0.25, "acted": False}, "stood still once and lost 0.25 s"),
         ({"rate_hz": 120.0}, "telemetry came at 120 of 200 Hz"),
         ({"rate_hz": None}, "did not answer"),
         ({"stale": 8}, "8 of 40 commands came too late"),
@@ -62,3 +63,9 @@ def test_the_exit_code_tells_flown_on_crashed_and_not_to_be_judged_apart() -> No
     assert exit_code({"machine": slow, "companion": {"crashed": True}}) == 3
     assert exit_code({"machine": slow, "companion": {"crashed": False}}) == 3
     assert exit_code({"machine": slow, "error": "waited"}) == 3
+
+
+def test_a_short_stall_of_a_flight_that_went_well_is_no_matter() -> None:
+    machine = judge(replace(QUICK, late_cycles=2, lost_s=0.5))
+    assert not machine["too_slow"]
+    assert machine["late_cycles"] == 2
