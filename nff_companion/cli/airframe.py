@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from nff_companion.cli.output import console, print_json
+from nff_companion.cli.output import console, print_json, say
 from nff_companion.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Frames by name, and the airframe file of your vehicle.")
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
-
-
-def _say(text: str) -> None:
-    """As it is: brackets in the names of files are no colours."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _document(frame: Frame, arm_m: float | None) -> dict[str, Any]:
@@ -63,10 +58,10 @@ def list_command(json: Json = False) -> None:
         texts = (frame.name, str(frame.motors), classes, ", ".join(map(str, frame.px4)))
         table.add_row(*map(Text, texts))
     console.print(table)
-    _say("\nArduPilot: FRAME_CLASS / FRAME_TYPE. PX4: SYS_AUTOSTART.")
+    say("\nArduPilot: FRAME_CLASS / FRAME_TYPE. PX4: SYS_AUTOSTART.")
     for frame in frames().values():
         if frame.without:
-            _say(f"The companion has no model of {frame.name}: {frame.without}.")
+            say(f"The companion has no model of {frame.name}: {frame.without}.")
 
 
 @app.command()
@@ -95,7 +90,7 @@ def show(
     if json:
         print_json(document)
         return
-    _say(drawing.characters(found) + "\n")
+    say(drawing.characters(found) + "\n")
     unit = "arms" if arm is None else "m"
     table = Table("motor", f"x forward, {unit}", f"y right, {unit}", "spin", box=None)
     for motor in document["motors"]:
@@ -103,9 +98,9 @@ def show(
         table.add_row(*(Text(text, justify="right") for text in texts))
     console.print(table)
     if found.without:
-        _say(f"The companion has no model of it: {found.without}.")
+        say(f"The companion has no model of it: {found.without}.")
     if svg is not None:
-        _say(f"written: {svg}")
+        say(f"written: {svg}")
 
 
 def _of_file(name: str, arm: float | None) -> tuple[Frame, float]:
@@ -165,13 +160,11 @@ def new(
         named = None if reading.frame is None else reading.frame.name
         print_json({"file": str(out), "frame": named, "guessed": made.guessed, "notes": reading.notes})
         return
-    _say(f"{out}: {reading.title}, {reading.motors} motors")
+    say(f"{out}: {reading.title}, {reading.motors} motors")
     for note in reading.notes:
-        _say(note)
-    _say(f"guessed: {', '.join(made.guessed)}")
-    _say(
-        "Measure the mass, and compare motor order and spins with `nff airframe show` and the vehicle, propellers off."
-    )
+        say(note)
+    say(f"guessed: {', '.join(made.guessed)}")
+    say("Measure the mass, and compare motor order and spins with `nff airframe show` and the vehicle, propellers off.")
 
 
 def _asked(url: str, timeout_s: float) -> Parameters:

@@ -25,11 +25,11 @@ def flown(
     logged_every: int = 1,
     lost: dict[int, float] | None = None,
     seconds: float = 12.0,
-    fail_s: float = 8.0,
+    between_s: tuple[float, float] = (8.0, np.inf),
     spoilt_every: int = 0,
 ) -> Judgement:
-    """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left; from
-    ``fail_s`` on without the motors ``lost`` (share that is left). What is logged is every so many-th output, held."""
+    """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left;
+    ``between_s`` without the motors ``lost`` (share that is left). What is logged is every so many-th output, held."""
     left = np.sign(model.effectiveness_si[ROLL])
     rate, lagged, logged = np.zeros(3), np.full(model.motors, model.hover), np.full(model.motors, model.hover)
     rows: list[tuple[float, Sample]] = []
@@ -41,9 +41,9 @@ def flown(
         lagged = lagged + (asked - lagged) * (1.0 - np.exp(-1.0 / RATE_HZ / model.motor.time_constant_up_s))
         given = lagged.copy()
         for motor, share in (lost or {}).items():
-            given[motor - 1] *= share if k / RATE_HZ > fail_s else 1.0
+            given[motor - 1] *= share if between_s[0] < k / RATE_HZ < between_s[1] else 1.0
         up, *turning = model.acceleration_effectiveness @ given
-        rate = rate + (np.array(turning) - 2.0 * rate * (k / RATE_HZ <= fail_s)) / RATE_HZ
+        rate = rate + (np.array(turning) - 2.0 * rate * (k / RATE_HZ <= between_s[0])) / RATE_HZ
         told = logged * np.nan if spoilt_every and k % spoilt_every == 0 else logged
         rows.append((time_s, sample(time_s, rate + 0.01 * rng.standard_normal(3), up, model, told)))
     return judge(model, rows, RATE_HZ, 10.0, "RCOU", RATE_HZ / logged_every)
@@ -93,17 +93,7 @@ def test_one_lost_motor_of_a_quadrotor_is_a_fault(rng: np.random.Generator) -> N
 
 def test_a_motor_that_works_again_is_said_to_be_lifted(rng: np.random.Generator) -> None:
     octo = vehicle.load("octo-x")
-    left = {"at": 0.0}
-
-    def back(time_s: float) -> float:
-        left["at"] = time_s
-        return 0.0
-
-    class Back(dict[int, float]):
-        def items(self):  # type: ignore[no-untyped-def]
-            return {3: 0.0 if left["at"] < 8.5 else 1.0}.items()
-
-    found = flown(octo, rng, sway=back, lost=Back({3: 0.0}), seconds=14.0)
+    found = flown(octo, rng, lost={3: 0.0}, between_s=(8.0, 8.5), seconds=14.0)
     assert [fault.motor for fault in found.faults] == [3]
     lifted = found.faults[0].lifted_s
     assert lifted is not None
@@ -111,7 +101,7 @@ def test_a_motor_that_works_again_is_said_to_be_lifted(rng: np.random.Generator)
 
 
 def test_a_vehicle_that_is_heavier_than_its_file_does_not_fit(rng: np.random.Generator) -> None:
-    found = flown(QUAD, rng, lost=dict.fromkeys(range(1, 5), 0.3), fail_s=-1.0)
+    found = flown(QUAD, rng, lost=dict.fromkeys(range(1, 5), 0.3), between_s=(-1.0, np.inf))
     assert found.verdict == "not_judged"
     assert "does not fit: on the thrust axis" in found.reason
 
@@ -129,7 +119,7 @@ def test_samples_that_cannot_be_used_hide_no_airframe_that_does_not_fit(
     rng: np.random.Generator, spoilt_every: int
 ) -> None:
     weak = dict.fromkeys(range(1, 5), 0.3)
-    found = flown(QUAD, rng, lost=weak, fail_s=-1.0, spoilt_every=spoilt_every)
+    found = flown(QUAD, rng, lost=weak, between_s=(-1.0, np.inf), spoilt_every=spoilt_every)
     assert found.verdict == "not_judged"
     assert found.reason
 
