@@ -1,0 +1,209 @@
+"""Maximum likelihood of a vehicle's numbers, given what was believed before; scipy's least squares do the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from nff_companion.calibration import chain, model, noise
+from nff_companion.calibration.model import Layout, Prior
+from nff_companion.calibration.record import Record
+
+ROUNDS = 4  # of noise and numbers in turn
+_MEMORY_S = 0.1  # of the noise's model
+_SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
+_LIFT_S = 0.3  # over which the thrust of the outputs is held to the specific force that was measured
+_THRUST_DOUBT = 3.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
+_UNKNOWN = ((model.ROLL, model.ROLL), (model.PITCH, model.PITCH), (model.YAW, model.YAW))
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """``x`` and ``covariance`` of the parameters (model.py), ``prior`` their deviations before; ``hover``: thrust
+    fraction of the mean outputs under ``x``; ``explained`` (AXES,): share of what noise of the same colour would not do
+    that the outputs foretell."""
+
+    x: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    layout: Layout
+    hover: float
+    explained: NDArray[np.float64]
+
+    @property
+    def deviation(self) -> NDArray[np.float64]:
+        """(parameters,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class Problem:
+    """A record, and what a vector of parameters leaves of it."""
+
+    def __init__(
+        self,
+        record: Record,
+        layout: Layout,
+        filters: chain.Filters,
+        inertia: tuple[float, float, float],
+        start: NDArray[np.float64],
+        prior: NDArray[np.float64],
+    ) -> None:
+        self._layout, self._filters, self._start, self._prior = layout, filters, start, prior
+        self.free = np.flatnonzero(prior > 0.0)
+        self._shape_free = self.free[self.free < model.SHAPE]
+        self._pieces = record.pieces
+        self._measured = [chain.measured(piece, filters, inertia) for piece in record.pieces]
+        self._mean = np.array(float(np.mean(np.concatenate([piece.output.mean(axis=1) for piece in record.pieces]))))
+        self._skip = [round(_SETTLE_S / piece.dt_s) for piece in record.pieces]
+        self._air = [_air(values[skip:]) for values, skip in zip(self._measured, self._skip, strict=True)]
+        self._lift = [_slow(values[:, :1], piece.dt_s) for values, piece in zip(self._measured, self._pieces, strict=True)]
+        self.lift_m_s2 = float(np.mean(np.concatenate(self._lift)))
+        self._whitening, self._scale = [np.ones(1)] * model.AXES, np.ones(model.AXES)
+        self._at: NDArray[np.float64] | None = None
+        self._values = (np.zeros(0), np.zeros((0, 0)))
+
+    def hover(self, x: NDArray[np.float64]) -> float:
+        """Thrust fraction of the mean outputs."""
+        return float(chain.fraction(self._mean, model.shape_of(x, self._layout.full)))
+
+    def suggested(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``x`` with gains from the powers of what was measured and what the outputs ask for, between 2 and 8 Hz."""
+        x = x.copy()
+        gains = np.zeros(model.AXES)
+        gains[model.THRUST] = np.log(self.lift_m_s2)
+        x[model.gains_of(self._layout)] = gains
+        left, _ = self._axes(x)
+        asked = [m[s:, : model.AXES] - rest for m, s, rest in zip(self._measured, self._skip, left, strict=True)]
+        for axis, _ in _UNKNOWN:
+            found = sum(float(_band(m[s:, axis], p.dt_s).std()) * p.samples for m, s, p in self._each())
+            wanted = sum(
+                float(_band(a[:, axis], p.dt_s).std()) * p.samples for a, p in zip(asked, self._pieces, strict=True)
+            )
+            gains[axis] = np.log(max(found, 1e-9) / max(wanted, 1e-9))
+        x[model.gains_of(self._layout)] = gains
+        return x
+
+    def colour(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Learn the noise from what ``x`` leaves; the shares explained (AXES,)."""
+        left, _ = self._axes(x)
+        order = max(round(_MEMORY_S / self._pieces[0].dt_s), 2)
+        explained, scale = np.zeros(model.AXES), np.ones(model.AXES)
+        whitening = []
+        for axis in range(model.AXES):
+            parts = [rows[:, axis] - rows[:, axis].mean() for rows in left]
+            filter_ = noise.autoregression(parts, order)
+            rest = np.concatenate([noise.whitened(part, filter_) for part in parts])
+            was = np.concatenate([noise.whitened(m[s:, axis], filter_) for m, s, _ in self._each()])
+            explained[axis] = 1.0 - rest.var() / max(float(was.var()), 1e-30)
+            scale[axis] = max(float(np.sqrt(np.mean(rest * rest))), 1e-9)
+            whitening.append(filter_)
+        scale[model.THRUST] *= _THRUST_DOUBT
+        self._whitening, self._scale, self._at = whitening, scale, None
+        return explained
+
+    def residual(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What is left with these values of the free parameters, and what is off from the prior, in deviations."""
+        return self._both(free)[0]
+
+    def jacobian(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of ``residual``."""
+        return self._both(free)[1]
+
+    def whole(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """All parameters."""
+        x = self._start.copy()
+        x[self.free] = free
+        return x
+
+    def _each(self) -> list[tuple[NDArray[np.float64], int, chain.Piece]]:
+        return list(zip(self._measured, self._skip, self._pieces, strict=True))
+
+    def _both(self, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self._at is None or not np.array_equal(self._at, free):
+            self._at, self._values = free.copy(), self._reduced(self.whole(free))
+        return self._values
+
+    def _reduced(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Squares stay the same under a rotation: each axis is reduced to as many rows as it has columns, after what
+        the air may have done is taken off."""
+        left, slopes = self._axes(x)
+        rows, jacobian = [], []
+        for axis in range(model.AXES):
+            columns = [
+                np.column_stack([air[axis], slope[axis][:, self.free], rest[:, axis]])
+                for air, slope, rest in zip(self._air, slopes, left, strict=True)
+            ]
+            white = np.concatenate([noise.whitened(c, self._whitening[axis]) for c in columns]) / self._scale[axis]
+            air = self._air[0][axis].shape[1]
+            triangle = np.linalg.qr(white, mode="r")[air:, air:]
+            rows.append(triangle[:, -1])
+            jacobian.append(-triangle[:, :-1])
+        off, prior = (x - self._start)[self.free], self._prior[self.free]
+        return np.concatenate([*rows, off / prior]), np.concatenate([*jacobian, np.diag(1.0 / prior)])
+
+    def _axes(self, x: NDArray[np.float64]) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+        """What is left (N, AXES) and the derivatives (AXES, N, parameters) of what was foretold, of each piece."""
+        shapes = model.variants(x, self._layout.full, self._shape_free)
+        at_mean = np.array([float(chain.fraction(self._mean, shape)) for shape in shapes])
+        left, slopes = [], []
+        for (values, skip, piece), lift in zip(self._each(), self._lift, strict=True):
+            thrust = chain.shown(piece, shapes, self._filters) / at_mean[:, None, None]
+            # Battery, height and speed change what a rotor gives at the same output: the accelerometer says by how much.
+            total = _slow(thrust.mean(axis=2).T, piece.dt_s).T
+            thrust = thrust * (lift[:, 0] / self.lift_m_s2 / np.maximum(total, 1e-3))[:, :, None]
+            value, derivative = model.foretold(x, self._layout, thrust[:, skip:], self._shape_free)
+            left.append(values[skip:, : model.AXES] - value.T)
+            slopes.append(derivative)
+        return left, slopes
+
+
+def _slow(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    """Columns (N, c) smoothed forwards and backwards."""
+    return chain.smoothed_both_ways(values, dt_s, _LIFT_S)
+
+
+def _band(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    return chain.band(values, dt_s, 2.0, 8.0)
+
+
+def _air(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Columns (N, c) of each axis that moving air brings in: damping by the rate, what side wind and speed do."""
+    one, side, rate, velocity = np.ones(len(values)), values[:, 4:6], values[:, 6:9], values[:, 9:12]
+    if not velocity.any():
+        velocity = velocity[:, :0]
+    return [
+        np.column_stack([one, (side**2).sum(axis=1), velocity[:, 2:]]),
+        np.column_stack([rate[:, 0], side[:, 1], velocity[:, :2]]),
+        np.column_stack([rate[:, 1], side[:, 0], velocity[:, :2]]),
+        np.column_stack([one, rate[:, 2], side, velocity[:, :2]]),
+    ]
+
+
+def fit(
+    record: Record,
+    layout: Layout,
+    filters: chain.Filters,
+    inertia: tuple[float, float, float],
+    start: NDArray[np.float64],
+    prior: Prior = Prior(),  # noqa: B008
+    rounds: int = ROUNDS,
+) -> Fit:
+    """From the parameters ``start`` (whose gains are taken from the record), believed as ``prior`` says."""
+    deviations = prior.deviations(layout.motors)
+    problem = Problem(record, layout, filters, inertia, start, deviations)
+    problem = Problem(record, layout, filters, inertia, problem.suggested(start), deviations)
+    free = problem.free
+    x, explained = problem.whole(start[free]), np.zeros(model.AXES)
+    x[model.gains_of(layout)] = problem.suggested(start)[model.gains_of(layout)]
+    for _ in range(rounds):
+        explained = problem.colour(x)
+        scale = deviations[free]
+        found = least_squares(problem.residual, x[free], problem.jacobian, x_scale=scale, max_nfev=20, xtol=1e-4)
+        x = problem.whole(found.x)
+    jacobian = problem.jacobian(x[free])
+    covariance = np.zeros((len(x), len(x)))
+    covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
+    return Fit(x, covariance, deviations, layout, problem.hover(x), explained)
