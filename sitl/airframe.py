@@ -16,29 +16,34 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, kw_only=True)
 class PlantParameters:
-    """What the plant is made of. Arrays carry a leading vehicle axis N, so that each vehicle may differ."""
+    """What the plant is made of. Arrays carry a leading vehicle axis N, so that each vehicle may differ.
+
+    Where two shapes are given the shorter is the same for all, and is computed with just as it stands. The IMU is taken
+    to lie in the centre of mass, wherever that is.
+    """
 
     name: str
     mass_kg: NDArray[np.float64]  # (N,)
     inertia_kg_m2: NDArray[np.float64]  # (N, 3)
-    position_m: NDArray[np.float64]  # (m, 2) x forward, y right
+    position_m: NDArray[np.float64]  # (m, 2) or (N, m, 2) from the centre of mass: x forward, y right
     # (m,) +1: torque on the airframe about +z (rotor turns counter-clockwise seen from above)
     spin: NDArray[np.float64]
     max_thrust_n: NDArray[np.float64]  # (N, m)
-    time_constant_up_s: NDArray[np.float64]  # (N,)
-    time_constant_down_s: NDArray[np.float64]  # (N,)
-    torque_per_thrust_m: NDArray[np.float64]  # (N,)
+    time_constant_up_s: NDArray[np.float64]  # (N,) or (N, m)
+    time_constant_down_s: NDArray[np.float64]  # (N,) or (N, m)
+    torque_per_thrust_m: NDArray[np.float64]  # (N,) or (N, m)
+    output_delay_s: NDArray[np.float64]  # (N,) from the output as telemetry tells it until the motor hears it
     rotor_inertia_kg_m2: float
     max_speed_rad_s: float
-    thrust_expo: float
-    spin_min: float
+    thrust_expo: NDArray[np.float64]  # (N,)
+    spin_min: NDArray[np.float64]  # (N,)
     spin_max: float
     pwm_min: float
     pwm_max: float
     gyro_filter_hz: float
     accelerometer_filter_hz: float
     drag_area_m2: NDArray[np.float64]  # (2, 3) flying towards +x, +y, +z; towards -x, -y, -z
-    pressure_centre_m: NDArray[np.float64]  # (3,)
+    pressure_centre_m: NDArray[np.float64]  # (3,) or (N, 3)
     rotor_radius_m: float
     rotor_drag_n_s_per_m: float  # force of one rotor at full speed per m/s of its hub through the air
     hub_height_m: float  # of the rotors above the centre of mass
@@ -56,7 +61,7 @@ class PlantParameters:
     @property
     def motors(self) -> int:
         """m."""
-        return int(self.position_m.shape[0])
+        return int(self.position_m.shape[-2])
 
     def perturbed(self, *, fraction: float, generators: list[np.random.Generator]) -> PlantParameters:
         """Mass, each inertia and each motor's thrust drawn uniformly within +- ``fraction`` for every vehicle.
@@ -105,10 +110,11 @@ def load(path: Path, *, vehicles: int = 1, thrust_to_weight: float | None = None
         time_constant_up_s=per_vehicle(motor["time_constant_up_s"]),
         time_constant_down_s=per_vehicle(motor["time_constant_down_s"]),
         torque_per_thrust_m=per_vehicle(motor["torque_per_thrust_m"]),
+        output_delay_s=per_vehicle(0.0),
         rotor_inertia_kg_m2=float(motor["rotor_inertia_kg_m2"]),
         max_speed_rad_s=float(motor["max_speed_rad_s"]),
-        thrust_expo=float(command["thrust_expo"]),
-        spin_min=float(command["spin_min"]),
+        thrust_expo=per_vehicle(command["thrust_expo"]),
+        spin_min=per_vehicle(command["spin_min"]),
         spin_max=float(command["spin_max"]),
         pwm_min=float(command["pwm_min"]),
         pwm_max=float(command["pwm_max"]),
