@@ -45,7 +45,7 @@ def learned_hover_throttle(nominal: PlantParameters, true: PlantParameters) -> N
 
     Still air, full battery, all rotors alike. Where the curve is the nominal one it is the weight over all thrust.
     """
-    fraction = true.mass_kg * GRAVITY_M_S2 / true.max_thrust_n.sum(axis=1)
+    fraction = true.mass_kg * GRAVITY_M_S2 / true.lift_n
     expo, idle = true.thrust_expo, true.spin_min
     linear = 1.0 - expo
     # (1 - e) c + e c^2 = f, in the form that holds for e = 0 too.
@@ -86,8 +86,11 @@ class Fleet:
         self.max_tilt_rad = np.zeros(len(seeds))
         self._in_air_start = options.height_m > 0.0
         if self._in_air_start:
-            hover = self.parameters.mass_kg * GRAVITY_M_S2 / nominal.motors
-            self.state.thrust_n[:] = np.minimum(hover[:, None], self.parameters.max_thrust_n)
+            true = self.parameters
+            one = (true.mass_kg * GRAVITY_M_S2 / nominal.motors)[:, None]
+            if not nominal.alike:
+                one = (true.mass_kg * GRAVITY_M_S2 / true.lift_n)[:, None] * true.max_thrust_n
+            self.state.thrust_n[:] = np.minimum(one, true.max_thrust_n)
         for _ in range(PLANT_RATE_HZ // 20):  # the filters settle before the autopilot looks
             self.sensors.step(self.state, self.plant.specific_force(self.state))
         if self._in_air_start:

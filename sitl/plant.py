@@ -94,6 +94,8 @@ class Plant:
         self.mass_kg = parameters.mass_kg.copy()
         self._x, self._y = parameters.position_m[..., 0], parameters.position_m[..., 1]
         self._arm = np.stack([-self._y, self._x], axis=-1)  # roll, pitch torque per N of thrust, (m, 2) or (N, m, 2)
+        down = np.broadcast_to(parameters.down_m, self._x.shape)
+        self._hub = np.stack([self._x, self._y, down], axis=-1)  # (m, 3) or (N, m, 3)
         self._torque_per_thrust = _per_motor(parameters.torque_per_thrust_m)
         self._line = _DelayLine(parameters.output_delay_s, dt_s) if parameters.output_delay_s.any() else None
         self._aerodynamics = Aerodynamics(parameters)
@@ -139,35 +141,13 @@ class Plant:
         air = np.einsum("nji,nj->ni", matrix, state.velocity_m_s - wind_m_s)  # air speed in the body frame
         speed = np.sqrt(state.thrust_n / p.max_thrust_n)  # rotor speed over full speed
         speed_rate = (speed - np.sqrt(thrust_before / p.max_thrust_n)) / dt
-        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
-        # damping of climb, roll and pitch; the axial speed is that of the hub.
-        axial = air[:, 2:3] - self._climb_of_hubs(state.rate_rad_s)
-        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
-        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
-
-        drag = self._aerodynamics.airframe_drag(air)
-        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * self._y
-        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * self._x
-        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
-        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
-        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
-        force = drag.copy()
-        force[:, 0] += side_x
-        force[:, 1] += side_y
-        force[:, 2] -= thrust.sum(axis=1)
-
-        torque = np.empty_like(state.rate_rad_s)
-        torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.einsum("nm,nmk->nk", thrust, self._arm)
-        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
-        torque[:, 0] += p.hub_height_m * side_y + flap_roll
-        torque[:, 1] += flap_pitch - p.hub_height_m * side_x
-        reaction = self._torque_per_thrust * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
-        torque[:, 2] = reaction @ p.spin + _moment(push_y, self._x) - _moment(push_x, self._y)
-        torque += rotation.cross(p.pressure_centre_m, drag)
-        # Rotors turn against their reaction torque: spin +1 spins about -z.
-        spin_momentum = -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+        force, torque = self._wrench(state, air, speed, speed_rate)
+        # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
         momentum = p.inertia_kg_m2 * state.rate_rad_s
-        momentum[:, 2] += spin_momentum
+        if p.axis is None:
+            momentum[:, 2] += -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+        else:
+            momentum += p.rotor_inertia_kg_m2 * p.max_speed_rad_s * ((speed * p.spin) @ p.axis)
         rate_dot = (torque - rotation.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
 
         acceleration = np.einsum("nij,nj->ni", matrix, force) / self.mass_kg[:, None]
@@ -183,6 +163,54 @@ class Plant:
         state.on_ground = state.position_m[:, 2] >= 0.0
         # The ground holds what stands on it, level as it stood.
         state.position_m[:, 2] = np.minimum(state.position_m[:, 2], 0.0)
+
+    def _wrench(
+        self,
+        state: PlantState,
+        air: NDArray[np.float64],
+        speed: NDArray[np.float64],
+        speed_rate: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Force without weight, and torque, (N, 3) each in the body frame.
+
+        ``air`` (N, 3): velocity through it; ``speed`` (N, m) of the rotors over the full one, and its rate.
+        """
+        p = self.parameters
+        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
+        # damping of climb, roll and pitch; the axial speed is that of the hub.
+        axial = air[:, 2:3] - self._climb_of_hubs(state.rate_rad_s)
+        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
+        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
+
+        drag = self._aerodynamics.airframe_drag(air)
+        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * self._y
+        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * self._x
+        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
+        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
+        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
+        force = drag.copy()
+        force[:, 0] += side_x
+        force[:, 1] += side_y
+        reaction = self._torque_per_thrust * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
+        torque = np.empty_like(state.rate_rad_s)
+        if p.axis is None:
+            force[:, 2] -= thrust.sum(axis=1)
+            torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.einsum("nm,nmk->nk", thrust, self._arm)
+            torque[:, 2] = reaction @ p.spin
+        else:
+            push = thrust[..., None] * p.axis
+            force += push.sum(axis=1)
+            torque[:] = (rotation.cross(self._hub, push) - (reaction * p.spin)[..., None] * p.axis).sum(axis=1)
+        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
+        if isinstance(p.hub_height_m, float):
+            torque[:, 0] += p.hub_height_m * side_y + flap_roll
+            torque[:, 1] += flap_pitch - p.hub_height_m * side_x
+        else:
+            torque[:, 0] += push_y @ p.hub_height_m + flap_roll
+            torque[:, 1] += flap_pitch - push_x @ p.hub_height_m
+        torque[:, 2] = torque[:, 2] + _moment(push_y, self._x) - _moment(push_x, self._y)
+        torque += rotation.cross(p.pressure_centre_m, drag)
+        return force, torque
 
     def specific_force(self, state: PlantState) -> NDArray[np.float64]:
         """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""

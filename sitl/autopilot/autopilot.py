@@ -56,9 +56,12 @@ class Autopilot:
         self.output = np.zeros((n, m))
         self.desired = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
         self.throttle = np.zeros(n)
-        self._stock = mixer.stock_factors(nominal.position_m, nominal.spin)
+        self._stock = mixer.stock_factors(nominal.frame_m, nominal.spin)
         # Converts a matrix in normalised units into this mixer's units, so that loop gains stay what they were.
-        effectiveness = mixer.normalised_effectiveness(nominal.position_m, nominal.spin)
+        if nominal.alike:
+            effectiveness = mixer.normalised_effectiveness(nominal.position_m, nominal.spin)
+        else:
+            effectiveness = mixer.normalised(nominal.effectiveness_si())
         self._unit = np.diag(effectiveness @ self._stock)
         self._factors = np.tile(self._stock, (n, 1, 1))
         self._dead = np.zeros((n, m), bool)
@@ -125,7 +128,7 @@ class Autopilot:
                 self._factors[vehicle] = matrix * self._unit
                 self.allocation[vehicle] = Allocation.MATRIX
             elif port.failed.any():
-                reduced = mixer.reduced_factors(self._p.position_m, self._p.spin, port.failed)
+                reduced = mixer.reduced_factors(self._p.frame_m, self._p.spin, port.failed)
                 if reduced is not None:
                     self._factors[vehicle] = reduced
                 self.allocation[vehicle] = Allocation.DECLARATION
