@@ -20,6 +20,7 @@ from nff_companion.errors import NffError
 from sitl import airframe
 from sitl.fleet import Fleet, FleetOptions
 from sitl.plant import Plant, initial_state
+from sitl.uncertainty import Uncertainty
 
 OCTO = vehicle.path_of("octo-x").read_text(encoding="utf-8")
 DT = 0.005
@@ -377,10 +378,10 @@ def test_hubs_at_their_own_heights_drag_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [tilted_octo(), measured_octo()], ids=["tilted", "measured"])
-def test_such_a_vehicle_flies(tmp_path: Path, text: str) -> None:
-    fleet = Fleet(
-        airframe.load(written(tmp_path, text)), FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, model_error=0.05)
-    )
+@pytest.mark.parametrize("level", [Uncertainty.exact(), Uncertainty.estimated()], ids=["as told", "uncertain"])
+def test_such_a_vehicle_flies(tmp_path: Path, text: str, level: Uncertainty) -> None:
+    options = FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, model_error=0.05, uncertainty=level)
+    fleet = Fleet(airframe.load(written(tmp_path, text)), options)
     for _ in range(2400):
         fleet.step()
     assert not fleet.state.crashed.any()
