@@ -20,6 +20,7 @@ from nff_companion.errors import NffError
 from sitl import airframe
 from sitl.fleet import Fleet, FleetOptions
 from sitl.plant import Plant, initial_state
+from sitl.trials.virtual import sample_of
 from sitl.uncertainty import Uncertainty
 
 OCTO = vehicle.path_of("octo-x").read_text(encoding="utf-8")
@@ -387,6 +388,28 @@ def test_such_a_vehicle_flies(tmp_path: Path, text: str, level: Uncertainty) -> 
     assert not fleet.state.crashed.any()
     assert np.abs(fleet.state.position_m[0] - [0.0, 0.0, -10.0]).max() < 1.5
     assert fleet.max_tilt_rad[0] < 0.3
+
+
+def test_a_delay_that_is_told_leaves_less_of_the_residual(tmp_path: Path) -> None:
+    path = written(tmp_path, having(every(""), delay="0.03"))
+    fleet = Fleet(airframe.load(path), FleetOptions(seeds=[1], height_m=10.0))
+    fleet.autopilot.position.goal[0, :2] = [6.0, -4.0]
+    samples = []
+    for _ in range(1200):
+        fleet.step()
+        samples.append(sample_of(fleet, 0))
+    left = {}
+    for model in (vehicle.load("octo-x"), vehicle.load(str(path))):
+        chain = ResidualFilter(model, 1 / 400)
+        first = samples[0]
+        state = chain.start(first.gyro_rad_s, first.specific_force_m_s2, model.thrust_fraction(first.output))
+        rows = []
+        for sample in samples[1:]:
+            command = model.thrust_fraction(sample.output)
+            state = chain.step(state, sample.gyro_rad_s, sample.specific_force_m_s2, command, 1 / 400)
+            rows.append((state.measured - model.acceleration_effectiveness @ state.thrust_shown)[ROLL : PITCH + 1])
+        left[model.telemetry.output_delay_s] = float(np.std(np.array(rows)[200:]))
+    assert left[0.03] < 0.7 * left[0.0], left
 
 
 def test_the_plant_has_the_delay_of_the_file(tmp_path: Path) -> None:
