@@ -31,8 +31,9 @@ class Aerodynamics:
     def __init__(self, parameters: PlantParameters) -> None:
         p = parameters
         self._p = p
-        x, y = p.position_m.T
-        self._ahead = x[:, None] - x, y[:, None] - y  # [j, i]: from rotor i to rotor j
+        place = p.position_m
+        ahead = place[..., :, None, :] - place[..., None, :, :]
+        self._ahead = ahead[..., 0], ahead[..., 1]  # [j, i] or [n, j, i]: from rotor i to rotor j
         self._disc = 2.0 * AIR_DENSITY_KG_M3 * np.pi * p.rotor_radius_m**2
 
     def rotor_thrust(

@@ -55,24 +55,66 @@ def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad
     )
 
 
+def _per_motor(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) or (N, m) as (N, 1) or (N, m)."""
+    return value[:, None] if value.ndim == 1 else value
+
+
+def _moment(push: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum over motors (N,) of ``push`` (N, m) times ``arm``, (m,) for all or (N, m)."""
+    return push @ arm if arm.ndim == 1 else np.einsum("nm,nm->n", push, arm)
+
+
+class _DelayLine:
+    """Motor outputs ``delay_s`` (N,) later, linear between steps; what was before the first is like the first."""
+
+    def __init__(self, delay_s: NDArray[np.float64], dt_s: float) -> None:
+        steps = delay_s / dt_s
+        whole = np.floor(steps).astype(int)
+        self._vehicle = np.arange(len(steps))
+        self._late, self._share = whole, (steps - whole)[:, None]
+        self._kept: NDArray[np.float64] | None = None  # (steps, N, m), newest first
+
+    def step(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What the motors hear (N, m) while ``output`` (N, m) is sent."""
+        if self._kept is None:
+            self._kept = np.tile(output, (int(self._late.max()) + 2, 1, 1))
+        self._kept = np.concatenate([output[None], self._kept[:-1]])
+        younger, older = self._kept[self._late, self._vehicle], self._kept[self._late + 1, self._vehicle]
+        return younger + self._share * (older - younger)
+
+
 class Plant:
-    """Steps the state; holds only constants, and the mass, which may change in flight (a dropped payload)."""
+    """Steps the state; holds only constants, the mass, which may change in flight (a dropped payload), and the outputs
+    that are under way to the motors.
+    """
 
     def __init__(self, parameters: PlantParameters, dt_s: float) -> None:
         self.parameters, self.dt_s = parameters, dt_s
         self.mass_kg = parameters.mass_kg.copy()
-        x, y = parameters.position_m[:, 0], parameters.position_m[:, 1]
-        self._arm = np.stack([-y, x], axis=1)  # roll, pitch torque per N of thrust, (m, 2)
+        self._x, self._y = parameters.position_m[..., 0], parameters.position_m[..., 1]
+        self._arm = np.stack([-self._y, self._x], axis=-1)  # roll, pitch torque per N of thrust, (m, 2) or (N, m, 2)
+        down = np.broadcast_to(parameters.down_m, self._x.shape)
+        self._hub = np.stack([self._x, self._y, down], axis=-1)  # (m, 3) or (N, m, 3)
+        self._torque_per_thrust = _per_motor(parameters.torque_per_thrust_m)
+        self._line = _DelayLine(parameters.output_delay_s, dt_s) if parameters.output_delay_s.any() else None
         self._aerodynamics = Aerodynamics(parameters)
         with np.errstate(divide="ignore"):
-            self._share_up = 1 - np.exp(-dt_s / parameters.time_constant_up_s)[:, None]
-            self._share_down = 1 - np.exp(-dt_s / parameters.time_constant_down_s)[:, None]
+            self._share_up = 1 - np.exp(-dt_s / _per_motor(parameters.time_constant_up_s))
+            self._share_down = 1 - np.exp(-dt_s / _per_motor(parameters.time_constant_down_s))
 
     def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust over full thrust of the motor output (N, m) in 0..1 (command to thrust curve)."""
         p = self.parameters
-        c = np.clip((output - p.spin_min) / (p.spin_max - p.spin_min), 0.0, 1.0)
-        return (1 - p.thrust_expo) * c + p.thrust_expo * c * c
+        idle, expo = p.spin_min[:, None], p.thrust_expo[:, None]
+        c = np.clip((output - idle) / (p.spin_max - idle), 0.0, 1.0)
+        return (1 - expo) * c + expo * c * c
+
+    def _climb_of_hubs(self, rate_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Speed (N, m) of the hubs against +z by roll and pitch."""
+        if self._arm.ndim == 2:
+            return rate_rad_s[:, :2] @ self._arm.T
+        return np.einsum("nk,nmk->nm", rate_rad_s[:, :2], self._arm)
 
     def step(
         self,
@@ -84,6 +126,8 @@ class Plant:
     ) -> None:
         """Advance ``state`` in place by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
         p, dt = self.parameters, self.dt_s
+        if self._line is not None:
+            output = self._line.step(output)
         state.held_command = np.where(stuck, state.held_command, output)
         load = state.thrust_n.sum(axis=1) / p.max_thrust_n.sum(axis=1)
         state.battery = state.battery - _BATTERY_DRAIN_PER_S * load * dt
@@ -97,35 +141,13 @@ class Plant:
         air = np.einsum("nji,nj->ni", matrix, state.velocity_m_s - wind_m_s)  # air speed in the body frame
         speed = np.sqrt(state.thrust_n / p.max_thrust_n)  # rotor speed over full speed
         speed_rate = (speed - np.sqrt(thrust_before / p.max_thrust_n)) / dt
-        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
-        # damping of climb, roll and pitch; the axial speed is that of the hub.
-        axial = air[:, 2:3] - state.rate_rad_s[:, :2] @ self._arm.T
-        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
-        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
-
-        drag = self._aerodynamics.airframe_drag(air)
-        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * p.position_m[:, 1]
-        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * p.position_m[:, 0]
-        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
-        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
-        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
-        force = drag.copy()
-        force[:, 0] += side_x
-        force[:, 1] += side_y
-        force[:, 2] -= thrust.sum(axis=1)
-
-        torque = np.empty_like(state.rate_rad_s)
-        torque[:, :2] = thrust @ self._arm
-        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
-        torque[:, 0] += p.hub_height_m * side_y + flap_roll
-        torque[:, 1] += flap_pitch - p.hub_height_m * side_x
-        reaction = p.torque_per_thrust_m[:, None] * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
-        torque[:, 2] = reaction @ p.spin + push_y @ p.position_m[:, 0] - push_x @ p.position_m[:, 1]
-        torque += rotation.cross(p.pressure_centre_m, drag)
-        # Rotors turn against their reaction torque: spin +1 spins about -z.
-        spin_momentum = -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+        force, torque = self._wrench(state, air, speed, speed_rate)
+        # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
         momentum = p.inertia_kg_m2 * state.rate_rad_s
-        momentum[:, 2] += spin_momentum
+        if p.axis is None:
+            momentum[:, 2] += -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+        else:
+            momentum += p.rotor_inertia_kg_m2 * p.max_speed_rad_s * ((speed * p.spin) @ p.axis)
         rate_dot = (torque - rotation.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
 
         acceleration = np.einsum("nij,nj->ni", matrix, force) / self.mass_kg[:, None]
@@ -141,6 +163,54 @@ class Plant:
         state.on_ground = state.position_m[:, 2] >= 0.0
         # The ground holds what stands on it, level as it stood.
         state.position_m[:, 2] = np.minimum(state.position_m[:, 2], 0.0)
+
+    def _wrench(
+        self,
+        state: PlantState,
+        air: NDArray[np.float64],
+        speed: NDArray[np.float64],
+        speed_rate: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Force without weight, and torque, (N, 3) each in the body frame.
+
+        ``air`` (N, 3): velocity through it; ``speed`` (N, m) of the rotors over the full one, and its rate.
+        """
+        p = self.parameters
+        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
+        # damping of climb, roll and pitch; the axial speed is that of the hub.
+        axial = air[:, 2:3] - self._climb_of_hubs(state.rate_rad_s)
+        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
+        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
+
+        drag = self._aerodynamics.airframe_drag(air)
+        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * self._y
+        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * self._x
+        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
+        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
+        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
+        force = drag.copy()
+        force[:, 0] += side_x
+        force[:, 1] += side_y
+        reaction = self._torque_per_thrust * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
+        torque = np.empty_like(state.rate_rad_s)
+        if p.axis is None:
+            force[:, 2] -= thrust.sum(axis=1)
+            torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.einsum("nm,nmk->nk", thrust, self._arm)
+            torque[:, 2] = reaction @ p.spin
+        else:
+            push = thrust[..., None] * p.axis
+            force += push.sum(axis=1)
+            torque[:] = (rotation.cross(self._hub, push) - (reaction * p.spin)[..., None] * p.axis).sum(axis=1)
+        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
+        if isinstance(p.hub_height_m, float):
+            torque[:, 0] += p.hub_height_m * side_y + flap_roll
+            torque[:, 1] += flap_pitch - p.hub_height_m * side_x
+        else:
+            torque[:, 0] += push_y @ p.hub_height_m + flap_roll
+            torque[:, 1] += flap_pitch - push_x @ p.hub_height_m
+        torque[:, 2] = torque[:, 2] + _moment(push_y, self._x) - _moment(push_x, self._y)
+        torque += rotation.cross(p.pressure_centre_m, drag)
+        return force, torque
 
     def specific_force(self, state: PlantState) -> NDArray[np.float64]:
         """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""

@@ -93,7 +93,7 @@ class Gains:
     def of(vehicle: Vehicle, tuning: LawTuning = DEFAULT.law) -> Gains:
         """Sensitivity of the attitude loop at most about 1.75 with the lag and 30 ms of delay; each outer loop slower
         than the one inside."""
-        lag = vehicle.motor.time_constant_up_s
+        lag, _ = vehicle.lag_s
         rate = tuning.rate_gain / (lag + tuning.link_and_filter_s)
         attitude = rate / tuning.attitude_ratio
         velocity = attitude / tuning.velocity_ratio

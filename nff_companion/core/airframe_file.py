@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.core.rotors import ARM_M, Coordinate, Lag, Rotors, RotorTable, rotors_of
 from nff_companion.core.toml_file import Name, Text
 from nff_companion.core.tuning.span import span
 
@@ -19,7 +20,6 @@ GRAVITY_M_S2 = 9.80665
 MOTORS_MIN, MOTORS_MAX = 4, 12  # four axes need as many; a matrix of 12 rows and 4 columns fills one message
 # Ranges, here and below, are what no multirotor on Earth leaves, from 27 g indoors to some tons with people aboard:
 # a number out of one of them has the wrong unit, or the decimal point in the wrong place.
-_ARM_M = (0.02, 10.0)
 _MASS_PER_ARM_SQUARED = (1.0, 1000.0)  # kg/m^2, of the farthest rotor's arm: real ones have 10 to 150
 _GYRATION_PER_ARM = (0.03, 3.0)  # 0.25 to 0.9
 _DRAG_PER_ARM = (1e-3, 0.5)  # torque over thrust over arm: 0.02 to 0.15
@@ -30,9 +30,7 @@ _SPIN_SPAN_MIN = 0.1
 _SAME_PLACE_M = 0.01
 
 Inertia = Annotated[float, span(1e-7, 3e5, "kg m^2", "about a principal axis")]
-Coordinate = Annotated[float, span(-10.0, 10.0, "m", "of the rotor's hub")]
 Filter = Annotated[float, span(0.0, 1000.0, "Hz", "cut-off of a second-order low-pass; 0: none, else at least 1")]
-Lag = Annotated[float, span(0.0, 1.0, "s", "time constant of thrust after command")]
 
 
 class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,6 +40,7 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: Annotated[str, msgspec.Meta(max_length=2000)]
     mass_kg: Annotated[float, span(0.02, 3000.0, "kg", "of the whole vehicle as it flies")]
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
+    centre_of_mass_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)  # from where the rotors' places count
     network: Text = ""  # basis network: a shipped name or a file beside this one; empty: a constant basis
 
 
@@ -67,10 +66,15 @@ class CommandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TelemetryTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[telemetry]``: low-pass filters of the autopilot on what it sends (second order; 0: none)."""
+    """``[telemetry]``: low-pass filters of the autopilot on what it sends (second order; 0: none), and how much later
+    than their time stamp says the motor outputs show in the motion.
+    """
 
     gyro_filter_hz: Filter
     accelerometer_filter_hz: Filter
+    output_delay_s: Annotated[
+        float, span(0.0, 0.1, "s", "from the time stamp of an output until the motor hears it")
+    ] = 0.0
 
 
 class LogTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,25 +86,6 @@ class LogTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     topic: Name
     field: Name
     unit: Literal["N", "output", "pwm"] = "pwm"
-
-
-class RotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[rotor]]``: either angle (clockwise from the nose) and arm, or x forward and y right."""
-
-    spin: Literal["cw", "ccw"]
-    angle_deg: Annotated[float, span(-360.0, 360.0, "deg", "clockwise from the nose")] | None = None
-    arm_m: Annotated[float, span(*_ARM_M, "m", "from the centre of mass to the hub")] | None = None
-    x_m: Coordinate | None = None
-    y_m: Coordinate | None = None
-
-    def position_m(self) -> tuple[float, float]:
-        """(x, y). Raises ValueError when neither form is complete."""
-        if self.angle_deg is not None and self.arm_m is not None:
-            angle = math.radians(self.angle_deg)
-            return self.arm_m * math.cos(angle), self.arm_m * math.sin(angle)
-        if self.x_m is not None and self.y_m is not None:
-            return self.x_m, self.y_m
-        raise ValueError("give angle_deg and arm_m, or x_m and y_m")
 
 
 class AirframeFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -115,15 +100,43 @@ class AirframeFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log: LogTable | None = None
 
 
-def effectiveness_si(
-    position_m: NDArray[np.float64], spin: NDArray[np.float64], motor: MotorTable
-) -> NDArray[np.float64]:
-    """B0 (n, m): N and N m for thrust fraction 1 of each motor at ``position_m`` (m, 2) with ``spin`` (m,), +1 ccw.
+def rotors(data: AirframeFile) -> Rotors:
+    """The rotors of a file, places from the centre of mass. Raises ValueError when a place is not complete."""
+    motor = data.motor
+    return rotors_of(
+        data.rotor,
+        data.airframe.centre_of_mass_m,
+        max_thrust_n=motor.max_thrust_n,
+        torque_per_thrust_m=motor.torque_per_thrust_m,
+        time_constants_s=(motor.time_constant_up_s, motor.time_constant_down_s),
+    )
 
-    A rotor at (x, y) pushing up by F gives roll torque -y F and pitch torque x F in FRD.
+
+def lift_share(data: AirframeFile) -> float:
+    """What all rotors carry at full output, over ``motor.max_thrust_n``: their number, when they are alike and upright.
+
+    NaN when one of them has no direction.
     """
-    x, y = position_m.T
-    return np.stack([np.ones_like(x), -y, x, motor.torque_per_thrust_m * spin]) * motor.max_thrust_n
+    per_acceleration = data.airframe.mass_kg / data.motor.max_thrust_n
+    return sum(
+        rotor.thrust * rotor.upward if rotor.acceleration is None else rotor.acceleration[0] * per_acceleration
+        for rotor in data.rotor
+    )
+
+
+def with_thrust_to_weight(data: AirframeFile, ratio: float) -> AirframeFile:
+    """The same with the thrust that all rotors together have ``ratio`` times the weight."""
+    motor, share = data.motor, max(lift_share(data), 0.1)
+    thrust = ratio * data.airframe.mass_kg * GRAVITY_M_S2 / share
+    more = thrust / motor.max_thrust_n
+    rotor = [
+        r
+        if r.acceleration is None
+        else msgspec.structs.replace(r, acceleration=tuple(more * gain for gain in r.acceleration))
+        for r in data.rotor
+    ]
+    motor = msgspec.structs.replace(motor, max_thrust_n=thrust)
+    return msgspec.structs.replace(data, motor=motor, rotor=rotor)
 
 
 def fault_of(data: AirframeFile) -> str | None:
@@ -152,13 +165,27 @@ def _faults(data: AirframeFile) -> Iterator[str]:
             yield f"telemetry.{key} = {value}: give 0 for no filter, or a number from 1 to 1000 Hz"
     if data.log is not None and (data.log.field.count("{}") != 1 or set("{}") & set(data.log.field.replace("{}", ""))):
         yield f"log.field = {data.log.field!r}: give a name with one {{}} where the motor's index belongs"
-    hover = airframe.mass_kg * GRAVITY_M_S2 / (len(data.rotor) * data.motor.max_thrust_n)
+    yield from _faults_of_directions(data)
+    hover = airframe.mass_kg * GRAVITY_M_S2 / (lift_share(data) * data.motor.max_thrust_n)
     if not _HOVER[0] < hover < _HOVER[1]:
+        given = f"motor.max_thrust_n = {data.motor.max_thrust_n:.4g}"
+        if data.rotor[0].acceleration is not None:
+            given = "rotor.acceleration"
         yield (
-            f"motor.max_thrust_n = {data.motor.max_thrust_n:.4g}: {len(data.rotor)} rotors hover airframe.mass_kg ="
+            f"{given}: {len(data.rotor)} rotors hover airframe.mass_kg ="
             f" {airframe.mass_kg} at {hover:.3g} of their thrust; between {_HOVER[0]} and {_HOVER[1]} is allowed"
         )
     yield from _faults_of_rotors(data, hover)
+
+
+def _faults_of_directions(data: AirframeFile) -> Iterator[str]:
+    for number, rotor in enumerate(data.rotor, start=1):
+        fault = rotor.fault()
+        if fault is not None:
+            yield f"rotor[{number}].{fault}"
+    given = [rotor.acceleration is not None for rotor in data.rotor]
+    if any(given) and not all(given):
+        yield f"rotor[{given.index(False) + 1}].acceleration is missing: give it of all rotors, or of none"
 
 
 def _faults_of_size(data: AirframeFile, arm: float) -> Iterator[str]:
@@ -190,29 +217,29 @@ def _faults_of_size(data: AirframeFile, arm: float) -> Iterator[str]:
 
 
 def _faults_of_rotors(data: AirframeFile, hover: float) -> Iterator[str]:
-    places: list[tuple[float, float]] = []
     for number, rotor in enumerate(data.rotor, start=1):
         try:
-            places.append(rotor.position_m())
+            rotor.position_m()
         except ValueError as error:
             yield f"rotor[{number}]: {error}"
             return
-        arm = math.hypot(*places[-1])
-        if not _ARM_M[0] <= arm <= _ARM_M[1] * (1.0 + 1e-9):
-            yield f"rotor[{number}]: {arm:.3g} m from the centre of mass; allowed from {_ARM_M[0]} to {_ARM_M[1]:g} m"
+    made = rotors(data)
+    places: list[tuple[float, float]] = [(x, y) for x, y, _ in made.place_m.tolist()]
+    for number, place in enumerate(places, start=1):
+        arm = math.hypot(*place)
+        if not ARM_M[0] <= arm <= ARM_M[1] * (1.0 + 1e-9):
+            yield f"rotor[{number}]: {arm:.3g} m from the centre of mass; allowed from {ARM_M[0]} to {ARM_M[1]:g} m"
     yield from _faults_of_size(data, max(math.hypot(*place) for place in places))
     spins = [rotor.spin for rotor in data.rotor]
-    if len(set(spins)) < 2:
+    if len(set(spins)) < 2 and made.acceleration is None and not made.tilted:
         yield f"rotor.spin = {spins[0]!r} of all: yaw needs rotors of both, 'cw' and 'ccw'"
     for (i, one), (k, other) in combinations(enumerate(places), 2):
         if math.dist(one, other) < _SAME_PLACE_M and spins[i] == spins[k]:
             yield f"rotor[{k + 1}]: at the place of rotor[{i + 1}] with the same spin: only coaxial rotors may"
-    matrix = effectiveness_si(
-        np.array(places), np.array([1.0 if spin == "ccw" else -1.0 for spin in spins]), data.motor
-    )
+    matrix = made.effectiveness_si(data.airframe.mass_kg, np.array(data.airframe.inertia_kg_m2))
     matrix = matrix / np.abs(matrix).sum(axis=1, keepdims=True).clip(1e-12)
     if np.linalg.matrix_rank(matrix, tol=1e-6) < len(matrix):
-        yield "rotor: thrust, roll, pitch and yaw cannot be set one by one with these places and spins"
+        yield "rotor: thrust, roll, pitch and yaw cannot be set one by one with these places, axes and spins"
     elif not _trims(matrix, hover):
         yield (
             f"rotor: no thrusts within 0..1 hold the vehicle level at its hover thrust, {hover:.2f} of the full one;"

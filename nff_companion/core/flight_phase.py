@@ -29,7 +29,7 @@ class FlightPhase:
 
     def __init__(self, vehicle: Vehicle, tuning: FlightPhaseTuning | None = None) -> None:
         self._tuning, self._hover = tuning or FlightPhaseTuning(), vehicle.hover
-        full = vehicle.motors * vehicle.motor.max_thrust_n / vehicle.mass_kg
+        full = vehicle.full_thrust_n / vehicle.mass_kg
         self._impact_squared = (self._tuning.impact_share * full + self._tuning.impact_m_s2) ** 2
 
     def step(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> FlightPhaseState:

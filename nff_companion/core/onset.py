@@ -52,7 +52,7 @@ class OnsetBank:
         self._axes, self._motors, self._joint = vehicle.axes, vehicle.motors, joint
         self.length, self._dt = counts[-1], dt_s
         standing = [max(round(age / dt_s), 2) for age in o.standing_s]
-        lag_s, smoothing_s = vehicle.motor.time_constant_down_s, tuning.residual.smoothing_s
+        (_, lag_s), smoothing_s = vehicle.lag_s, tuning.residual.smoothing_s
         response = loss_response(dt_s, self.length, lag_s, low_pass, smoothing_s)
         rows = len(counts) + len(standing)
         self._response = np.zeros((rows, self.length))

@@ -12,13 +12,14 @@ y = B0 diag(w) (eta - 1) with w the thrust fractions after the chain.
 Rotors in wind drag sideways. The accelerometer measures the sum of it; each rotor's share acts at its hub, so a
 rotor that is lost, or pushes more than the others, turns the vehicle about its yaw axis. In 4 m/s that is more than
 its own drag torque: the yaw row of B0 follows the measured lateral specific force; which share of it acts at the
-rotors is learnt (disturbance.py).
+rotors is learnt (disturbance.py). What tilted rotors push sideways is in that measurement too, and is not told apart.
 
 Products of small arrays are written ``a.dot(b)``: ``a @ b`` gives the same bits for three times the cost of the call.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,7 @@ class ResidualState:
     filtered: NDArray[np.float64]  # (m,) after the gyro filter
     thrust_shown: NDArray[np.float64]  # (m,) w, after the whole chain: as it shows in y
     smoothed: NDArray[np.float64]  # (11,) what is measured, after its first-order lag: the four properties below
+    sent: tuple[NDArray[np.float64], ...] = ()  # (m,) each, newest first: commands that the motors have yet to hear
 
     @property
     def measured(self) -> NDArray[np.float64]:
@@ -66,16 +68,34 @@ class ResidualState:
         return self.smoothed[9:]
 
 
+def _way(up: NDArray[np.float64], down: NDArray[np.float64]) -> Callable[..., NDArray[np.float64]]:
+    """Which of the two ways that the lag could go, up or down (m,) each, is taken.
+
+    Where up is the faster it is the larger of the two, whichever way it goes; where down is, the smaller.
+    """
+    if (up >= down).all():
+        return np.maximum
+    if (up <= down).all():
+        return np.minimum
+    return _by_sign
+
+
+def _by_sign(rising: NDArray[np.float64], falling: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(rising > 0.0, rising, falling)
+
+
 class ResidualFilter:
     """Constants of one airframe at one sample time; ``step`` takes and returns the state."""
 
     def __init__(self, vehicle: Vehicle, dt_s: float, tuning: ResidualTuning = ResidualTuning()) -> None:  # noqa: B008
-        motor, telemetry = vehicle.motor, vehicle.telemetry
-        up, down = lag_share(dt_s, motor.time_constant_up_s), lag_share(dt_s, motor.time_constant_down_s)
-        # Of the two ways that the lag could go, up or down, the larger is the one taken where up is the faster.
-        self._way = np.maximum if up >= down else np.minimum
+        telemetry = vehicle.telemetry
         # Constants are arrays (m,): numpy needs half as long again for an array with a number.
-        self._up, self._down = np.full(vehicle.motors, up), np.full(vehicle.motors, down)
+        self._up = np.array([lag_share(dt_s, lag_s) for lag_s in vehicle.rotors.time_constant_up_s.tolist()])
+        self._down = np.array([lag_share(dt_s, lag_s) for lag_s in vehicle.rotors.time_constant_down_s.tolist()])
+        self._way = _way(self._up, self._down)
+        late = telemetry.output_delay_s / dt_s
+        self._late, self._late_share = int(late), late - int(late)
+        self._is_late = late > 0.0
         gyro, accelerometer = telemetry.gyro_filter_hz, telemetry.accelerometer_filter_hz
         self.low_pass = LowPass.design(gyro, dt_s)
         # Where one sensor alone is filtered, the other is given the same filter here.
@@ -106,6 +126,7 @@ class ResidualFilter:
             filtered=command,
             thrust_shown=command,
             smoothed=np.array([-fz, 0.0, 0.0, 0.0, fx, fy, p, q, r, fx, fy]),
+            sent=(command,) * (self._late + 1) if self._is_late else (),
         )
 
     def side_drag(self, state: ResidualState) -> NDArray[np.float64]:
@@ -132,8 +153,13 @@ class ResidualFilter:
     ) -> ResidualState:
         """One sample: ``gyro`` (3,) rad/s, ``specific_force`` (3,) m/s^2, ``command`` (m,) thrust fractions.
 
-        ``dt_s`` is the interval measured; filters are designed for the nominal one.
+        ``dt_s`` is the interval measured; filters and the outputs' delay are designed for the nominal one.
         """
+        sent = state.sent
+        if self._is_late:
+            sent = (command, *sent)
+            newer, older = sent[self._late], sent[self._late + 1]
+            command, sent = newer + self._late_share * (older - newer), sent[:-1]
         ahead = 0.5 * (state.command + command) - state.lagged
         lagged = state.lagged + self._way(self._up * ahead, self._down * ahead)
         low_pass, filtered = state.low_pass, lagged
@@ -159,6 +185,7 @@ class ResidualFilter:
             filtered=filtered,
             thrust_shown=thrust_shown,
             smoothed=state.smoothed + self._shares * (now - state.smoothed),
+            sent=sent,
         )
 
     def _turning(self, before: list[float], now: list[float], dt_s: float) -> tuple[Vector, Vector]:

@@ -6,7 +6,6 @@ from index 0 in arrays. Axes of the wrench, in this order: thrust (up), roll, pi
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -22,8 +21,9 @@ from nff_companion.core.airframe_file import (
     AirframeFile,
     LogTable,
     TelemetryTable,
-    effectiveness_si,
     fault_of,
+    rotors,
+    with_thrust_to_weight,
 )
 from nff_companion.core.tuning.span import shown
 from nff_companion.errors import ConfigError
@@ -59,10 +59,18 @@ class Vehicle:
         self.mass_kg = data.airframe.mass_kg
         self.inertia_kg_m2 = np.array(data.airframe.inertia_kg_m2)
         self.motor, self.command, self.telemetry, self.log = data.motor, data.command, data.telemetry, data.log
-        self.position_m = np.array([r.position_m() for r in data.rotor])  # (m, 2)
-        self.spin = np.array([1.0 if r.spin == "ccw" else -1.0 for r in data.rotor])  # (m,) sign of the yaw torque
-        for array in (self.inertia_kg_m2, self.position_m, self.spin):
-            array.flags.writeable = False
+        self.rotors = rotors(data)
+        self.inertia_kg_m2.flags.writeable = False
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """(m, 2) x forward, y right of the centre of mass."""
+        return self.rotors.place_m[:, :2]
+
+    @property
+    def spin(self) -> NDArray[np.float64]:
+        """(m,) sign of the torque on the airframe about +z: +1 of a rotor that turns ccw seen from above."""
+        return self.rotors.spin
 
     @property
     def motors(self) -> int:
@@ -77,7 +85,7 @@ class Vehicle:
     @cached_property
     def effectiveness_si(self) -> NDArray[np.float64]:
         """B0 (n, m): N and N m for thrust fraction 1 of each motor."""
-        return effectiveness_si(self.position_m, self.spin, self.motor)
+        return self.rotors.effectiveness_si(self.mass_kg, self.inertia_kg_m2)
 
     @cached_property
     def acceleration_effectiveness(self) -> NDArray[np.float64]:
@@ -105,10 +113,21 @@ class Vehicle:
         """(n,) what 1 m/s^2 or rad/s^2 is in normalised units."""
         return np.concatenate([[self.mass_kg], self.inertia_kg_m2]) / self.row_scale
 
+    @cached_property
+    def full_thrust_n(self) -> float:
+        """Upward force of all motors at full output."""
+        one = self.motor.max_thrust_n
+        return float((self.effectiveness_si[THRUST] / one).sum()) * one  # alike rotors: exactly so many times one
+
     @property
     def hover(self) -> float:
         """h: weight over the thrust of all motors."""
-        return self.mass_kg * GRAVITY_M_S2 / (self.motors * self.motor.max_thrust_n)
+        return self.mass_kg * GRAVITY_M_S2 / self.full_thrust_n
+
+    @cached_property
+    def lag_s(self) -> tuple[float, float]:
+        """Time constants up and down where one must do for all rotors: those of the middle one."""
+        return float(np.median(self.rotors.time_constant_up_s)), float(np.median(self.rotors.time_constant_down_s))
 
     def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust fraction u of motor outputs in 0..1 (command to thrust curve)."""
@@ -129,10 +148,10 @@ class Vehicle:
         return np.minimum(np.maximum((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0), 1.0)
 
     def with_telemetry(self, telemetry: TelemetryTable) -> Vehicle:
-        """The same airframe behind other filters."""
+        """The same airframe behind other filters. The delay of the outputs stays: it is no filter's."""
         other = object.__new__(Vehicle)
         other.__dict__.update(self.__dict__)
-        other.telemetry = telemetry
+        other.telemetry = msgspec.structs.replace(telemetry, output_delay_s=self.telemetry.output_delay_s)
         return other
 
     def renumbered(self, quarter_turns: int) -> Vehicle:
@@ -142,9 +161,7 @@ class Vehicle:
         """
         other = object.__new__(Vehicle)
         other.__dict__.update({k: v for k, v in self.__dict__.items() if not isinstance(v, np.ndarray)})
-        c, s = round(math.cos(quarter_turns * math.pi / 2)), round(math.sin(quarter_turns * math.pi / 2))
-        other.position_m = np.roll(self.position_m @ np.array([[c, s], [-s, c]]), quarter_turns, axis=0)
-        other.spin = np.roll(self.spin, quarter_turns)
+        other.rotors = self.rotors.turned(quarter_turns)
         other.network = ""  # trained with the nose where it was
         inertia = self.inertia_kg_m2
         other.inertia_kg_m2 = inertia[[1, 0, 2]] if quarter_turns % 2 else inertia.copy()
@@ -179,8 +196,7 @@ def load(name: str, *, thrust_to_weight: float | None = None) -> Vehicle:
         low, high = THRUST_TO_WEIGHT
         if not low <= thrust_to_weight <= high:
             raise ConfigError(f"thrust_to_weight = {shown(thrust_to_weight)}: from {low} to {high} is allowed")
-        thrust = thrust_to_weight * data.airframe.mass_kg * GRAVITY_M_S2 / max(len(data.rotor), 1)
-        data = msgspec.structs.replace(data, motor=msgspec.structs.replace(data.motor, max_thrust_n=thrust))
+        data = with_thrust_to_weight(data, thrust_to_weight)
     fault = fault_of(data)
     if fault is not None:
         raise ConfigError(f"airframe file {path}: {fault}")

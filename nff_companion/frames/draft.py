@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from nff_companion.core import toml_file
-from nff_companion.core.airframe_file import GRAVITY_M_S2, AirframeFile, AirframeTable, RotorTable, fault_of
+from nff_companion.core.airframe_file import GRAVITY_M_S2, AirframeFile, AirframeTable, fault_of
+from nff_companion.core.rotors import RotorTable
 from nff_companion.core.tuning.span import fields, shown
 from nff_companion.errors import ConfigError
 from nff_companion.frames.catalogue import SPIN_NAMES, Frame

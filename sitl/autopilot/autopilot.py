@@ -39,17 +39,13 @@ class Allocation(IntEnum):
 
 
 class Autopilot:
-    """Knows the nominal airframe only; ``hover_error`` (N,) is how wrong its idea of the hover throttle is."""
+    """Knows the ``nominal`` airframe only, the same for all, and ``hover_throttle`` (N,), which it goes on learning."""
 
-    def __init__(
-        self, parameters: PlantParameters, dt_s: float, hover_error: NDArray[np.float64] | None = None
-    ) -> None:
-        n, m = parameters.vehicles, parameters.motors
-        self._p, self._dt = parameters, dt_s
-        hover = parameters.mass_kg * GRAVITY_M_S2 / parameters.max_thrust_n.sum(axis=1)
-        if hover_error is not None:
-            hover = hover * (1.0 + hover_error)
-        self.position = PositionControl(n, dt_s, hover)
+    def __init__(self, nominal: PlantParameters, dt_s: float, hover_throttle: NDArray[np.float64]) -> None:
+        n, m = len(hover_throttle), nominal.motors
+        self._p, self._dt = nominal, dt_s
+        self._expo, self._spin_min = float(nominal.thrust_expo[0]), float(nominal.spin_min[0])
+        self.position = PositionControl(n, dt_s, hover_throttle)
         self.attitude = AttitudeControl(n, dt_s)
         self.ports = [CompanionPort(m) for _ in range(n)]
         self.scripted: dict[int, ScriptedPort] = {}  # vehicles whose mixer factors and channels scripts reach
@@ -60,9 +56,12 @@ class Autopilot:
         self.output = np.zeros((n, m))
         self.desired = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
         self.throttle = np.zeros(n)
-        self._stock = mixer.stock_factors(parameters.position_m, parameters.spin)
+        self._stock = mixer.stock_factors(nominal.frame_m, nominal.spin)
         # Converts a matrix in normalised units into this mixer's units, so that loop gains stay what they were.
-        effectiveness = mixer.normalised_effectiveness(parameters.position_m, parameters.spin)
+        if nominal.alike:
+            effectiveness = mixer.normalised_effectiveness(nominal.position_m, nominal.spin)
+        else:
+            effectiveness = mixer.normalised(nominal.effectiveness_si())
         self._unit = np.diag(effectiveness @ self._stock)
         self._factors = np.tile(self._stock, (n, 1, 1))
         self._dead = np.zeros((n, m), bool)
@@ -129,7 +128,7 @@ class Autopilot:
                 self._factors[vehicle] = matrix * self._unit
                 self.allocation[vehicle] = Allocation.MATRIX
             elif port.failed.any():
-                reduced = mixer.reduced_factors(self._p.position_m, self._p.spin, port.failed)
+                reduced = mixer.reduced_factors(self._p.frame_m, self._p.spin, port.failed)
                 if reduced is not None:
                     self._factors[vehicle] = reduced
                 self.allocation[vehicle] = Allocation.DECLARATION
@@ -149,7 +148,6 @@ class Autopilot:
         self._read_ports(now_s)
         if self.scripted or self.overridden:
             self._read_scripts(now_s)
-        p = self._p
         flying = self.armed & (self.mode != Mode.GROUND)
         matrix = rotation.to_matrix(measured.quaternion)
         up = -np.einsum("nj,nj->n", matrix[:, 2, :], measured.specific_force_m_s2) - GRAVITY_M_S2
@@ -164,10 +162,10 @@ class Autopilot:
         thrust, limits = mixer.mix(self._factors, demand, mean_max, self._dead)
         self._limited = np.stack([limits.roll_pitch, limits.roll_pitch, limits.yaw], axis=1)
         self._throttle_limited = limits.throttle_upper | limits.throttle_lower
-        output = mixer.thrust_to_output(thrust, p.thrust_expo, p.spin_min, p.spin_max)
+        output = mixer.thrust_to_output(thrust, self._expo, self._spin_min, self._p.spin_max)
         output = np.where(self._dead, 0.0, output)
         output = np.where(np.isnan(self._override), output, self._override)
-        output = np.where(flying[:, None], output, np.where(self.armed[:, None], p.spin_min, 0.0))
+        output = np.where(flying[:, None], output, np.where(self.armed[:, None], self._spin_min, 0.0))
         self.output = output
         if not flying.all():
             idle = ~flying

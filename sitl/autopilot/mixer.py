@@ -26,7 +26,11 @@ def normalised_effectiveness(position_m: NDArray[np.float64], spin: NDArray[np.f
     This is the unit of a matrix that comes over the link: 1 is all that the motors could give on that axis.
     """
     x, y = position_m[:, 0], position_m[:, 1]
-    rows = np.stack([np.ones_like(x), -y, x, spin])
+    return normalised(np.stack([np.ones_like(x), -y, x, spin]))
+
+
+def normalised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``rows`` (4, m), each over the sum of its positive entries."""
     return rows / np.maximum(rows, 0.0).sum(axis=1, keepdims=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from sitl.airframe import PlantParameters
 from sitl.faults import Fault, FaultSchedule
 from sitl.noise import NormalBlocks, vehicle_generators
 from sitl.plant import Plant, initial_state
+from sitl.uncertainty import UNCERTAINTY_STREAM, Uncertainty
 from sitl.wind import Wind
 
 _STEP_MAX_S = 1.0 / 800.0
@@ -25,12 +26,13 @@ _CRASH_TILT_RAD = np.pi / 2
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsOptions:
-    """``model_error`` is a fraction; wind in m/s."""
+    """``model_error`` is a fraction; wind in m/s; ``uncertainty`` is what else the file has wrong."""
 
     seed: int = 1
     wind_m_s: float = 0.0
     turbulence_m_s: float = 0.0
     model_error: float = 0.0
+    uncertainty: Uncertainty = field(default_factory=Uncertainty.exact)
 
 
 def pace(next_s: float, interval_s: float) -> float:
@@ -47,7 +49,8 @@ class Physics:
 
     def __init__(self, nominal: PlantParameters, options: PhysicsOptions, faults: list[Fault] | None = None) -> None:
         draw = vehicle_generators([options.seed], 0)
-        self.parameters = nominal.perturbed(fraction=options.model_error, generators=draw)
+        weighed = nominal.perturbed(fraction=options.model_error, generators=draw)
+        self.parameters = options.uncertainty.drawn(weighed, vehicle_generators([options.seed], UNCERTAINTY_STREAM))
         heading = draw[0].uniform(0, 2 * np.pi)
         self._mean = options.wind_m_s * np.array([[np.cos(heading), np.sin(heading), 0.0]])
         self._options = options

@@ -21,6 +21,15 @@ from nff_companion.daemon import configuration
 from nff_companion.errors import NffError
 
 AIRFRAME = vehicle.path_of("octo-x").read_text(encoding="utf-8")
+UNLIKE = (  # each rotor with all the keys that may be left out
+    AIRFRAME.replace("[airframe]\n", "[airframe]\ncentre_of_mass_m = [0.01, 0.02, 0.0]\n")
+    .replace("[telemetry]\n", "[telemetry]\noutput_delay_s = 0.01\n")
+    .replace(
+        "[[rotor]]\n",
+        "[[rotor]]\nz_m = -0.1\naxis = [0.05, 0.1, -1.0]\nthrust = 1.1\n"
+        "time_constant_up_s = 0.03\ntime_constant_down_s = 0.06\n",
+    )
+)
 NETWORK = basis_network.path_of("octo-x").read_bytes()
 CONFIGURATION = """[link]
 endpoint = "udpin:127.0.0.1:14561"
@@ -584,7 +593,7 @@ def spliced(draw: st.DrawFn, data: bytes) -> bytes:
 
 
 @ANYTHING
-@given(data=mutations(AIRFRAME))
+@given(data=mutations(AIRFRAME) | mutations(UNLIKE))
 def test_any_airframe_file_loads_or_is_refused(tmp_path: Path, data: bytes) -> None:
     path = written(tmp_path / "any.toml", data)
     try:

@@ -21,6 +21,7 @@ from nff_companion.errors import ConfigError
 ROOT = Path(__file__).parents[2]
 FIELDS = fields(Tuning)
 HEAD = '[link]\nendpoint = "udpin:127.0.0.1:14561"\n[vehicle]\nairframe = "octo-x"\n'
+OF_FILES = {"airframe_file", "rotors", "network_file", "toml_file", "vehicle", "features", "sample_rate"}
 # Files whose numbers are those of the table. Guards of rounding and of solvers may stay.
 WITHOUT_CONSTANTS = [
     *sorted((ROOT / "nff_companion" / "allocation").glob("*.py")),
@@ -28,7 +29,8 @@ WITHOUT_CONSTANTS = [
     *(
         path
         for path in sorted((ROOT / "nff_companion" / "core").glob("*.py"))
-        if path.stem not in {"airframe_file", "network_file", "toml_file", "vehicle", "features", "sample_rate"}
+        if path.stem
+        not in {"airframe_file", "rotors", "network_file", "toml_file", "vehicle", "features", "sample_rate"}
     ),
 ]
 GUARDS = {"_ITERATIONS", "_INFINITE", "_TINY", "_SPEED_MAX_M_S"}
