@@ -15,22 +15,22 @@ from nff_companion.calibration.record import Record
 ROUNDS = 4  # of noise and numbers in turn
 _MEMORY_S = 0.1  # of the noise's model
 _SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
-_LIFT_S = 0.3  # over which the thrust of the outputs is held to the specific force that was measured
-_THRUST_DOUBT = 3.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
+_LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific force that was measured
+_THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
 _UNKNOWN = ((model.ROLL, model.ROLL), (model.PITCH, model.PITCH), (model.YAW, model.YAW))
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """``x`` and ``covariance`` of the parameters (model.py), ``prior`` their deviations before; ``hover``: thrust
-    fraction of the mean outputs under ``x``; ``explained`` (AXES,): share of what noise of the same colour would not do
+    """``x`` and ``covariance`` of the parameters (model.py), ``prior`` their deviations before; ``mean_output`` of all
+    motors over the record; ``explained`` (AXES,): share of what noise of the same colour would not do
     that the outputs foretell."""
 
     x: NDArray[np.float64]
     covariance: NDArray[np.float64]
     prior: NDArray[np.float64]
     layout: Layout
-    hover: float
+    mean_output: float
     explained: NDArray[np.float64]
 
     @property
@@ -65,9 +65,10 @@ class Problem:
         self._at: NDArray[np.float64] | None = None
         self._values = (np.zeros(0), np.zeros((0, 0)))
 
-    def hover(self, x: NDArray[np.float64]) -> float:
-        """Thrust fraction of the mean outputs."""
-        return float(chain.fraction(self._mean, model.shape_of(x, self._layout.full)))
+    @property
+    def mean_output(self) -> float:
+        """Of all motors over the record."""
+        return float(self._mean)
 
     def suggested(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """``x`` with gains from the powers of what was measured and what the outputs ask for, between 2 and 8 Hz."""
@@ -206,4 +207,4 @@ def fit(
     jacobian = problem.jacobian(x[free])
     covariance = np.zeros((len(x), len(x)))
     covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
-    return Fit(x, covariance, deviations, layout, problem.hover(x), explained)
+    return Fit(x, covariance, deviations, layout, problem.mean_output, explained)

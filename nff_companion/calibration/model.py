@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.calibration.chain import Motors
+from nff_companion.core.vehicle import Vehicle
 
 AXES = 4
 THRUST, ROLL, PITCH, YAW = range(AXES)
@@ -48,21 +49,37 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Frame: ``place`` (m, 2) forward and right over the farthest arm, ``spin`` (m,); ``full``: output of full thrust."""
+    """What is taken of an airframe: ``rows`` (AXES, m) of the motors' torques, roll and pitch for a mean thrust of 1 at
+    the farthest place, yaw for a mean drag of 1; ``thrust`` (m,) over the mean; ``full``: output of full thrust."""
 
-    place: NDArray[np.float64]
-    spin: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    thrust: NDArray[np.float64]
     full: float
+
+    @staticmethod
+    def of(vehicle: Vehicle) -> Layout:
+        """That of an airframe."""
+        matrix = vehicle.effectiveness_si
+        mean = float(matrix[THRUST].mean())
+        drag = float(np.abs(matrix[YAW]).mean())
+        arm = arm_m(vehicle)
+        rows = matrix / np.array([mean * vehicle.motors, mean * arm, mean * arm, drag])[:, None]
+        return Layout(rows, matrix[THRUST] / mean, vehicle.command.spin_max)
 
     @property
     def motors(self) -> int:
         """m."""
-        return len(self.spin)
+        return len(self.thrust)
 
     @property
     def parameters(self) -> int:
         """Length of a vector of them."""
         return _MOTORS + self.motors + 4
+
+
+def arm_m(vehicle: Vehicle) -> float:
+    """Of the farthest rotor."""
+    return float(np.hypot(*vehicle.position_m.T).max())
 
 
 def start(layout: Layout, lag_s: float, expo: float, idle: float, delay_s: float = 0.0) -> NDArray[np.float64]:
@@ -98,8 +115,10 @@ def variants(x: NDArray[np.float64], full: float, free: NDArray[np.int64]) -> li
 def unit_rows(layout: Layout, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """(AXES, m) of a motor's thrust on each axis, for gains of 1 and motors all alike."""
     cx, cy = x[centre_of(layout)]
-    ones = np.ones(layout.motors)
-    return np.stack([ones / layout.motors, -(layout.place[:, 1] - cy), layout.place[:, 0] - cx, layout.spin])
+    rows = layout.rows.copy()
+    rows[ROLL] += cy * layout.thrust
+    rows[PITCH] -= cx * layout.thrust
+    return rows
 
 
 def gains_of(layout: Layout) -> slice:
@@ -139,7 +158,7 @@ def foretold(
     for axis in range(AXES):
         derivative[axis, :, SHAPE + axis] = value[axis]
         derivative[axis, :, motors_of(layout)] = gain[axis] * rows[axis] * thrust
-    total, (bx, by) = thrust @ factors, x[-2:]
+    total, (bx, by) = thrust @ (factors * layout.thrust), x[-2:]
     derivative[PITCH, :, -4] = -gain[PITCH] * total
     derivative[ROLL, :, -3] = gain[ROLL] * total
     for axis, place, steady in ((PITCH, -2, -bx), (ROLL, -1, by)):

@@ -1,7 +1,9 @@
-"""Are motors where the file has them, and do they turn as it says? Every swap and every spin is weighed.
+"""Are motors where the file has them, and do they turn as it says? The log's own mixer answers.
 
-Between two frequencies, where a vehicle's own motion is above the air's, each axis follows the outputs of the right
-layout. What a layout leaves unexplained gives its likelihood; each axis' gain is free.
+A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle flies well:
+each motor's thrust follows the measured accelerations with just the shares that the autopilot gives it. From them
+every motor's place and spin is read, as the autopilot believes it to be; which order of the file's motors gives the same
+is a question of assignment.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from nff_companion.calibration import chain, model
 from nff_companion.calibration.model import Layout
 from nff_companion.calibration.record import Record
 
-_BANDS_HZ = {model.ROLL: (1.0, 8.0), model.PITCH: (1.0, 8.0), model.YAW: (0.3, 4.0)}
+_BAND_HZ = (0.7, 6.0)  # where the vehicle's own motion is above the air's
 _SETTLE_S = 0.5
+_AXES = (model.ROLL, model.PITCH, model.YAW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,68 +43,64 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """The order that fits best, by how many nats better than the file's own, and than the next best one."""
+    """The order that fits best; ``off`` of it, of the file's own and of the next best one: mean square of the shares'
+    difference, over that of the shares (0: the same, 2: nothing in common)."""
 
     best: Order
-    over_file_nats: float
-    over_next_nats: float
-    explained: NDArray[np.float64]  # (3,) roll, pitch, yaw, in their bands, by the best
+    off: float
+    off_file: float
+    off_next: float
 
 
 def orders(layout: Layout) -> list[Order]:
-    """The file's first; then every pair swapped, every motor reversed, all of them."""
+    """The file's first; then every pair swapped that is not alike, every motor reversed, all of them."""
     out = [Order(layout)]
     for i, k in combinations(range(layout.motors), 2):
-        place, spin = layout.place.copy(), layout.spin.copy()
-        place[[i, k]], spin[[i, k]] = place[[k, i]], spin[[k, i]]
-        out.append(Order(replace(layout, place=place, spin=spin), swapped=(i + 1, k + 1)))
-    for i in range(layout.motors):
-        spin = layout.spin.copy()
-        spin[i] = -spin[i]
-        out.append(Order(replace(layout, spin=spin), reversed=(i + 1,)))
-    everyone = tuple(range(1, layout.motors + 1))
-    return [*out, Order(replace(layout, spin=-layout.spin), reversed=everyone)]
+        if np.allclose(layout.rows[:, i], layout.rows[:, k]):
+            continue
+        places = np.arange(layout.motors)
+        places[[i, k]] = k, i
+        swapped = replace(layout, rows=layout.rows[:, places], thrust=layout.thrust[places])
+        out.append(Order(swapped, swapped=(i + 1, k + 1)))
+    motors = tuple(range(1, layout.motors + 1))
+    return out + [_reversed(layout, (motor,)) for motor in motors] + [_reversed(layout, motors)]
 
 
-class Evidence:
-    """Sums over a record: of each axis, the products of thrusts and accelerations in its band."""
-
-    def __init__(
-        self, record: Record, filters: chain.Filters, motors: chain.Motors, inertia: tuple[float, float, float]
-    ) -> None:
-        m = record.pieces[0].output.shape[1]
-        self.gram = {axis: np.zeros((m + 1, m + 1)) for axis in _BANDS_HZ}
-        self.independent = dict.fromkeys(_BANDS_HZ, 0.0)
-        for piece in record.pieces:
-            skip = round(_SETTLE_S / piece.dt_s)
-            measured = chain.measured(piece, filters, inertia)
-            thrust = chain.shown(piece, [motors], filters)[0]
-            for axis, (low, high) in _BANDS_HZ.items():
-                both = np.column_stack([thrust, measured[:, axis]])
-                both = np.column_stack([chain.band(column, piece.dt_s, low, high) for column in both.T])[skip:-skip]
-                self.gram[axis] += both.T @ both
-                self.independent[axis] += 2.0 * (high - low) * len(both) * piece.dt_s
-
-    def left(self, layout: Layout) -> NDArray[np.float64]:
-        """(3,) share of the squares that the layout leaves, with the gain of each axis that leaves least; a gain is
-        never negative."""
-        rows = model.unit_rows(layout, np.zeros(layout.parameters))
-        out = []
-        for axis, gram in self.gram.items():
-            thrusts, cross, power = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
-            row = rows[axis]
-            asked = float(row @ thrusts @ row)
-            along = max(float(row @ cross), 0.0)
-            out.append(1.0 - along * along / max(asked * float(power), 1e-30))
-        return np.array(out)
+def _reversed(layout: Layout, motors: tuple[int, ...]) -> Order:
+    rows = layout.rows.copy()
+    index = np.array(motors) - 1
+    rows[model.YAW, index] = -rows[model.YAW, index]
+    return Order(replace(layout, rows=rows), reversed=motors)
 
 
-def weigh(evidence: Evidence, layout: Layout) -> Weighed:
-    """Which order the record speaks for."""
-    found = orders(layout)
-    left = np.array([evidence.left(order.layout) for order in found])
-    count = np.array(list(evidence.independent.values()))
-    nats = -0.5 * (np.log(np.maximum(left, 1e-9)) * count).sum(axis=1)
-    ranked = np.argsort(-nats, kind="stable")
-    best, following = int(ranked[0]), int(ranked[1])
-    return Weighed(found[best], float(nats[best] - nats[0]), float(nats[best] - nats[following]), 1.0 - left[best])
+def shares(
+    record: Record, filters: chain.Filters, motors: chain.Motors, inertia: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """(3, m) of roll, pitch and yaw that each motor is given, rows of mean square 1."""
+    m = record.pieces[0].output.shape[1]
+    gram, cross = np.zeros((3, 3)), np.zeros((3, m))
+    for piece in record.pieces:
+        skip = round(_SETTLE_S / piece.dt_s)
+        measured = chain.measured(piece, filters, inertia)[:, list(_AXES)]
+        thrust = chain.shown(piece, [motors], filters)[0]
+        both = np.column_stack([measured, thrust])
+        both = np.column_stack([chain.band(column, piece.dt_s, *_BAND_HZ) for column in both.T])[skip:-skip]
+        gram += both[:, :3].T @ both[:, :3]
+        cross += both[:, :3].T @ both[:, 3:]
+    out = np.linalg.solve(gram, cross)
+    return np.asarray(out / np.sqrt(np.mean(out**2, axis=1, keepdims=True)))
+
+
+def weigh(found: NDArray[np.float64], layout: Layout) -> Weighed:
+    """Which order of ``layout`` has the shares ``found`` (3, m)."""
+    all_orders = orders(layout)
+    off = np.array([_off(found, order.layout) for order in all_orders])
+    ranked = np.argsort(off, kind="stable")
+    best = int(ranked[0])
+    return Weighed(all_orders[best], float(off[best]), float(off[0]), float(off[ranked[1]]))
+
+
+def _off(found: NDArray[np.float64], layout: Layout) -> float:
+    rows = model.unit_rows(layout, np.zeros(layout.parameters))[list(_AXES)]
+    rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
+    return float(np.mean((found - rows) ** 2))
