@@ -17,6 +17,7 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import schedule, times
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
 from nff_companion.autopilots.base import Permit
@@ -60,7 +61,8 @@ def heartbeat(*, armed: bool, mode: int = 4) -> Message:
 
 
 GOOD = {f"SERVO{i}_FUNCTION": 32.0 + i for i in range(1, 9)}
-GOOD |= {"FRAME_CLASS": 17.0, "MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
+GOOD |= {"FRAME_CLASS": 17.0, "FRAME_TYPE": 1.0, "NFF_FRAME": 301.0}
+GOOD |= {"MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
 GOOD |= {"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0, "SCR_ENABLE": 1.0, "FLIGHT_OPTIONS": 1.0}
 GOOD |= {"INS_GYRO_FILTER": 20.0, "INS_ACCEL_FILTER": 10.0}
 
@@ -371,7 +373,7 @@ class OnTheWire:
     """A vehicle on the ground with the card of octo-x, and adapters that hear it; ``sent`` is what they say."""
 
     def __init__(self, folder: Path) -> None:
-        install(OCTO, folder)
+        install(OCTO, folder, of_trial(OCTO))
         fault = Fault(vehicle=0, motor=3, start_s=_FAULT_S)
         self.fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), FleetOptions(seeds=[1]), [fault])
         self.autopilot = WireAutopilot(self.fleet, 0, card=folder)
@@ -555,7 +557,7 @@ def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, 
     """Eight seconds of an octo-x whose motor 3 fails at 6 s, with a companion that has the file of ``airframe_name``:
     the flight, the factors at its start, and what of the companion's is no publication."""
     plans = tables.compute(vehicle.load(airframe_name), allocator("trim"))
-    install(OCTO, folder)
+    install(OCTO, folder, of_trial(OCTO))
     fault = Fault(vehicle=0, motor=3, start_s=_FAULT_S)
     options = FleetOptions(seeds=[1], height_m=10.0)
     fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), options, [fault])
