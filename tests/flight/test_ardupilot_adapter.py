@@ -469,7 +469,8 @@ def test_a_wrong_airframe_file_is_said_and_nothing_is_changed_whatever_is_allowe
     assert np.array_equal(wire.factors, before)
     obstacle = adapter.condition(wire.fleet.time_s).command
     assert obstacle is not None
-    assert obstacle.reason == Reason.CARD_DIFFERS
+    assert obstacle.reason == Reason.CONTRADICTION
+    assert "those of octo-plus (FRAME_CLASS 3, FRAME_TYPE 0), not of FRAME_CLASS 3, FRAME_TYPE 1" in obstacle.text
     findings = {finding.name: finding for finding in adapter.findings()}
     assert findings["card"].ok is False
     assert "octo-plus" in findings["card"].detail
@@ -496,6 +497,20 @@ def test_a_card_that_agrees_is_left_alone(wire: OnTheWire, plans: dict[int, Plan
     wire.run(4.0)
     assert wire.kinds()["TUNNEL TABLE"] == 0
     assert all(finding.ok is not False for finding in adapter.findings()), adapter.findings()
+    card = next(finding.detail for finding in adapter.findings() if finding.name == "card")
+    assert card.endswith("which was compared at the installation with FRAME_CLASS 3, FRAME_TYPE 1 (octo-x)")
+
+
+def test_a_card_of_this_file_that_was_compared_with_another_frame_is_not_commanded(
+    wire: OnTheWire, plans: dict[int, Plan]
+) -> None:
+    wire.parameters["NFF_FRAME"] = 401.0
+    adapter = wire.attach("octo-x", changed(plans, 0b1), Permit.ACT, INSTANCE)
+    wire.run(4.0)
+    assert set(wire.kinds()) == {"PARAM_REQUEST_READ", "TUNNEL HEARTBEAT"}
+    obstacle = adapter.condition(wire.fleet.time_s).command
+    assert obstacle is not None
+    assert "not of FRAME_CLASS 4, FRAME_TYPE 1 (coax-x8)" in obstacle.text
 
 
 def arm(wire: OnTheWire) -> None:
@@ -598,7 +613,8 @@ def test_a_companion_with_another_airframe_file_changes_nothing_and_says_why(tmp
     assert not COMMANDS & set(kinds)
     assert personality.port.factors is not None
     assert np.array_equal(personality.port.factors, before)
-    assert companion.session.moment().verdict.reason == Reason.CARD_DIFFERS
+    assert companion.session.moment().verdict.reason == Reason.CONTRADICTION
+    assert "octo-plus" in companion.session.moment().verdict.text
     assert not trial.fleet.state.crashed[0]
 
 

@@ -2,46 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from itertools import combinations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from other_airframes import OWN, PAIRS, SHIPPED, altered, swapped
 
 from nff_companion.core import vehicle
-from nff_companion.core.vehicle import Vehicle
 from nff_companion.frames import catalogue
 from nff_companion.frames.catalogue import Frame
 from nff_companion.frames.comparison import agrees, contradictions_of_frame, frame_of
-
-SHIPPED = {
-    "arducopter-octa-x": "octo-x",
-    "coax-x8": "coax-x8",
-    "h250": "quad-x-clockwise",
-    "hexa-x": "hexa-x",
-    "octo-plus": "octo-plus",
-    "octo-x": "octo-x",
-    "px4-octo-x": "octo-x",
-}
-OWN = {"paper-octo"}  # two columns of four: no frame of either firmware
-PAIRS = list(SHIPPED.items())
-
-
-def altered(
-    loaded: Vehicle, place: NDArray[np.float64] | None = None, spin: NDArray[np.float64] | None = None
-) -> Vehicle:
-    other = copy.copy(loaded)
-    other.position_m = loaded.position_m if place is None else place
-    other.spin = loaded.spin if spin is None else spin
-    return other
-
-
-def swapped(loaded: Vehicle, one: int, other: int) -> Vehicle:
-    order = np.arange(loaded.motors)
-    order[[one, other]] = other, one
-    return altered(loaded, loaded.position_m[order], loaded.spin[order])
 
 
 def named(wrong: list[str]) -> list[int]:

@@ -167,16 +167,16 @@ class ArduPilotAdapter:
             Statement(Reason.PARAMETER_SILENT, absent[0]) if absent else None,
             Statement(Reason.CONTRADICTION, wrong[0]) if wrong else None,
             self._mute(now_s) if applied is None else self._misfit(applied),
-            Statement(Reason.CONTRADICTION, _NOT_COMPARED) if self._not_compared else None,
+            Statement(Reason.CONTRADICTION, _NOT_COMPARED) if self._not_compared(applied) else None,
         )
 
     def _absent(self) -> list[str]:
         """Parameters of the firmware's own that it does not answer for."""
         return [name for name in self._reader.absent if name != checks.FRAME_BEFORE]
 
-    @property
-    def _not_compared(self) -> bool:
-        return checks.FRAME_BEFORE in self._reader.absent
+    def _not_compared(self, applied: dict[str, int] | None) -> bool:
+        """An applet that answers, of a release that did not look at what flew before its mixer."""
+        return applied is not None and checks.FRAME_BEFORE in self._reader.absent
 
     def _mute(self, now_s: float) -> Statement:
         """Nothing readable comes from the applet."""
@@ -239,7 +239,7 @@ class ArduPilotAdapter:
         stock = applied is not None and bool(self._card.stock_agrees)
         differs = Statement(Reason.CARD_DIFFERS, self._vehicle.name).text if applied is not None else silent
         wrong = self._contradictions + [f"no answer for {name}" for name in self._absent()]
-        wrong += [_NOT_COMPARED] if self._not_compared and applied is not None else []
+        wrong += [_NOT_COMPARED] if self._not_compared(applied) else []
         read = self._reader.complete and not wrong
         out = [
             Finding("applet", applied is not None, "answers" if applied is not None else silent),
