@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_px4 import FakePx4
+from fake_px4 import FakePx4, in_flight, octo, tell, without
 from other_airframes import OWN, SHIPPED, wrong_files
-from px4_told import in_flight, octo, tell, without
 
 from nff_companion.autopilots.px4.remedy import disagreement, geometry_of
 from nff_companion.condition import Reason
