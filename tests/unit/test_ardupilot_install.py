@@ -213,6 +213,8 @@ def test_a_kept_file_that_is_spoilt_is_refused_by_name(card: Card) -> None:
         ({"SERVO3_FUNCTION": 36, "SERVO4_FUNCTION": 35}, "SERVO3_FUNCTION is 36, motor 3 needs 35"),
         ({"MOT_SPIN_MIN": 0.05}, "MOT_SPIN_MIN is 0.05, the airframe file says 0.15"),
         ({"MOT_PWM_MAX": float("nan")}, "MOT_PWM_MAX = nan"),
+        ({"MOT_PWM_MIN": 0, "RCMAP_THROTTLE": float("nan")}, "RCMAP_THROTTLE = nan"),
+        ({"MOT_PWM_MIN": 0, "RCMAP_THROTTLE": 3, "RC3_MIN": float("inf")}, "RC3_MIN = inf"),
         ({"CA_AIRFRAME": 0}, "ArduPilot's and PX4's at once"),
     ],
 )
@@ -245,6 +247,12 @@ def test_a_live_autopilot_is_asked(card: Card, monkeypatch: pytest.MonkeyPatch) 
     assert asked == [("udpin:0.0.0.0:14550", 9.0)] * 2
     assert "by autopilot at udpin:0.0.0.0:14550" in (card.folder / KEPT).read_text()
     assert "give one of them" in card.refused(parameters_of("octo-x"), *options)
+
+
+def test_a_path_with_any_character_in_it_leaves_a_file_that_can_be_read(tmp_path: Path) -> None:
+    before = of_parameters(Parameters(parameters_of("octo-x"), "parameter file \u00fc\nx\udc80"), None, tmp_path, OCTO)
+    install(OCTO, tmp_path, before)
+    assert parameter_file.read(tmp_path / KEPT).values["FRAME_CLASS"] == 3
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, *OWN])

@@ -56,8 +56,10 @@ def of_parameters(parameters: Parameters, named: Frame | None, card: Path, vehic
     frame_class = parameters.whole("FRAME_CLASS")
     if frame_class is None:
         raise parameters.error("FRAME_CLASS is missing: save all parameters of the autopilot as it is now")
-    for name in (*checks.names(vehicle), *checks.further(parameters.values)):
-        parameters.get(name)  # what is no number would agree with everything
+    for name in (*checks.names(vehicle), "RCMAP_THROTTLE"):  # what is no number would agree with everything
+        parameters.get(name)
+    for name in checks.further(parameters.values):
+        parameters.get(name)
     path = card / KEPT
     if frame_class == checks.FRAME_CLASS_SCRIPTED and path.exists():
         kept = parameter_file.read(path)
@@ -69,7 +71,8 @@ def of_parameters(parameters: Parameters, named: Frame | None, card: Path, vehic
             " name that frame with --frame NAME (`nff airframe list` names them)"
         )
     numbers, found = _numbers(parameters, named)
-    said = "by the owner's word, --frame" if frame_class in ardupilot.SCRIPTED else f"by {parameters.origin}"
+    scripted = frame_class in ardupilot.SCRIPTED
+    said = "by the owner's word, --frame" if scripted else f"by {_one_line(parameters.origin)}"
     return _made(parameters.values, numbers, _text(parameters.values, numbers, found, said))
 
 
@@ -92,6 +95,11 @@ def _numbers(parameters: Parameters, named: Frame | None) -> tuple[tuple[int, in
     if frame_class is None or frame_class in ardupilot.SCRIPTED or frame_type is None:
         return _first_of(found), found
     return (frame_class, frame_type), found
+
+
+def _one_line(text: str) -> str:
+    """For a comment: a path may have any character in it."""
+    return " ".join(text.encode("ascii", "replace").decode().split())
 
 
 def _first_of(frame: Frame) -> tuple[int, int]:
