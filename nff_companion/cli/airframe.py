@@ -79,14 +79,16 @@ def show(
     from nff_companion.frames.draft import Size
 
     if frame.endswith(".toml"):
-        found, arm = _of_file(frame, arm)
+        found, arm, same = _of_file(frame, arm)
     else:
-        found = catalogue.by_name(frame)
+        found, same = catalogue.by_name(frame), None
     if arm is not None:
         Size(arm).check()
     if svg is not None:
         _write(svg, drawing.svg(found, found.name))
     document = _document(found, arm)
+    if frame.endswith(".toml"):
+        document["frame"] = None if same is None else same.name
     if json:
         print_json(document)
         return
@@ -99,22 +101,25 @@ def show(
     console.print(table)
     if found.without:
         say(f"The companion has no model of it: {found.without}.")
+    if frame.endswith(".toml"):
+        say("It is no frame of the catalogue." if same is None else f"It is {same.name}, motor by motor.")
     if svg is not None:
         say(f"written: {svg}")
 
 
-def _of_file(name: str, arm: float | None) -> tuple[Frame, float]:
-    """Frame of an airframe file, and its arm. Raises ConfigError."""
+def _of_file(name: str, arm: float | None) -> tuple[Frame, float, Frame | None]:
+    """Frame of an airframe file, its arm, and the frame of the catalogue that it does not contradict. Raises
+    ConfigError."""
     import numpy as np
 
     from nff_companion.core import vehicle
-    from nff_companion.frames import catalogue
+    from nff_companion.frames import catalogue, comparison
 
     if arm is not None:
         raise ConfigError(f"--arm {arm}: the airframe file {name} has places in m; leave it out")
     loaded = vehicle.load(name)
     frame = catalogue.Frame(loaded.name, catalogue.scaled(loaded.position_m), loaded.spin)
-    return frame, float(np.hypot(*loaded.position_m.T).max())
+    return frame, float(np.hypot(*loaded.position_m.T).max()), comparison.frame_of(loaded)
 
 
 def _write(path: Path, text: str) -> None:
@@ -139,13 +144,12 @@ def new(
     json: Json = False,
 ) -> None:
     """Make an airframe file of a frame's name or the autopilot's parameters; what nobody said is marked as guessed."""
-    from nff_companion.frames import draft, parameter_file
+    from nff_companion.cli.parameters import given
+    from nff_companion.frames import draft
 
     if out.suffix != ".toml":
         raise ConfigError(f"--out {out}: the suffix must be .toml")
-    if live and parameters is not None:
-        raise ConfigError(f"--from {live} and --parameters {parameters}: give one of them")
-    known = _asked(live, timeout) if live else None if parameters is None else parameter_file.read(parameters)
+    known = given(parameters, live, timeout)
     reading = _reading(frame, known, autopilot)
     source = (
         f"frame {frame}"
@@ -165,14 +169,6 @@ def new(
         say(note)
     say(f"guessed: {', '.join(made.guessed)}")
     say("Measure the mass, and compare motor order and spins with `nff airframe show` and the vehicle, propellers off.")
-
-
-def _asked(url: str, timeout_s: float) -> Parameters:
-    """Raises ConfigError, EndpointError."""
-    from nff_companion.daemon import live_parameters
-    from nff_companion.frames.parameter_file import Parameters
-
-    return Parameters(live_parameters.read(url, timeout_s), f"autopilot at {url}")
 
 
 def _reading(name: str, parameters: Parameters | None, autopilot: str) -> Reading:

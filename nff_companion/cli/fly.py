@@ -172,13 +172,36 @@ def install(
     outputs_only: Annotated[
         bool, typer.Option("--outputs-only", help="Leave FRAME_CLASS as it is: only override mode can act.")
     ] = False,
+    parameters: Annotated[
+        Path | None, typer.Option("--parameters", help="All parameters of the autopilot as it is now: .param, .parm.")
+    ] = None,
+    live: Annotated[str, typer.Option("--from", help="Ask the live autopilot: udpin:0.0.0.0:14550 and others.")] = "",
+    timeout: Annotated[float, typer.Option(help="For --from, in s.", min=1.0)] = 60.0,
+    frame: Annotated[
+        str,
+        typer.Option(help="What was flown before, where FRAME_CLASS is a script's and the card has not kept it."),
+    ] = "",
     json: Json = False,
 ) -> None:
-    """Write scripts, the airframe's allocation tables and a parameter file."""
-    from nff_companion.autopilots.ardupilot.install import install as write
-    from nff_companion.core import vehicle
+    """Write scripts, the airframe's allocation tables and a parameter file.
 
-    files = write(vehicle.load(airframe), to, scripted=not outputs_only)
+    What the autopilot flew until now is kept beside them. An airframe that is not the frame it flew is refused.
+    """
+    from nff_companion.autopilots.ardupilot import before
+    from nff_companion.autopilots.ardupilot.install import install as write
+    from nff_companion.cli.parameters import given
+    from nff_companion.core import vehicle
+    from nff_companion.frames import catalogue
+
+    known = given(parameters, live, timeout)
+    if known is None:
+        raise ConfigError(
+            "give --parameters FILE (all parameters of the autopilot as it is now) or --from URL: the airframe file is"
+            " compared with the frame that it flies before that is replaced"
+        )
+    loaded = vehicle.load(airframe)
+    flown = before.of_parameters(known, catalogue.by_name(frame) if frame else None, to, loaded)
+    files = write(loaded, to, flown, scripted=not outputs_only)
     for path in files:
         console.print(str(path), highlight=False, soft_wrap=True)
     if json:

@@ -5,12 +5,12 @@ Sources: libraries/AP_Motors (AP_MotorsMatrix, AP_MotorsMulticopter, AP_Motors_T
 
 from __future__ import annotations
 
-from nff_companion.autopilots.ardupilot.checks import SERVOS, function_of
 from nff_companion.core.airframe_file import MOTORS_MAX
 from nff_companion.frames import catalogue
 from nff_companion.frames.catalogue import Frame
 from nff_companion.frames.parameter_file import Parameters
 from nff_companion.frames.reading import GUESSED, Known, Reading, hover, known
+from nff_companion.frames.servo_functions import SERVOS, function_of
 
 _CLASSES = {  # FRAME_CLASS that the companion has no model of
     0: "undefined",
@@ -23,7 +23,7 @@ _CLASSES = {  # FRAME_CLASS that the companion has no model of
     13: "a helicopter with four rotors",
     16: "a frame of six degrees of freedom",
 }
-_SCRIPTED = (15, 17)
+SCRIPTED = (15, 17)
 _THROTTLE_CHANNEL = 3
 _DEFAULT = f"{GUESSED}: ArduPilot's default"
 _PULSES_US = {"MIN": 1000.0, "MAX": 2000.0}
@@ -32,7 +32,7 @@ _PULSES_US = {"MIN": 1000.0, "MAX": 2000.0}
 def read(parameters: Parameters, frame: Frame | None) -> Reading:
     """``frame``: the owner's word. Raises ConfigError when the parameters contradict it, or neither says enough."""
     notes: list[str] = []
-    found = _frame(parameters, frame)
+    found = frame_of(parameters, frame)
     _outputs(parameters, found, notes)
     return Reading(
         autopilot="ardupilot",
@@ -57,9 +57,11 @@ def defaults(frame: Frame) -> Reading:
     return read(Parameters({}, "no parameters"), frame)
 
 
-def _frame(parameters: Parameters, named: Frame | None) -> Frame:
+def frame_of(parameters: Parameters, named: Frame | None) -> Frame:
+    """By FRAME_CLASS and FRAME_TYPE, or ``named`` where they leave it open. Raises ConfigError when they contradict it,
+    or neither says enough."""
     frame_class, frame_type = parameters.whole("FRAME_CLASS"), parameters.whole("FRAME_TYPE")
-    if frame_class in _SCRIPTED or frame_class is None:
+    if frame_class in SCRIPTED or frame_class is None:
         if named is None:
             said = "is missing" if frame_class is None else f"= {frame_class} is a frame made by a script"
             raise parameters.error(f"FRAME_CLASS {said}: give the frame by name")

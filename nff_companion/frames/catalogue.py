@@ -116,6 +116,11 @@ def of_ardupilot(frame_class: int, frame_type: int) -> Frame | None:
     return None
 
 
+def motors_of_ardupilot(frame_class: int) -> int | None:
+    """How many motors the frames of FRAME_CLASS have; None: they are not of these."""
+    return next((f.motors for f in frames().values() if any(frame_class == known for known, _ in f.ardupilot)), None)
+
+
 def of_px4(autostart: int) -> Frame | None:
     """The frame of SYS_AUTOSTART; None: not one of these."""
     return next((frame for frame in frames().values() if autostart in frame.px4), None)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from nff_companion.autopilots.ardupilot import checks
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import NotJudged
+from nff_companion.frames.servo_functions import function_of
 from nff_companion.replay.flight import Frame
 
 # AP_Motors: FRAME_CLASS and how many motors it has; FRAME_TYPE.
@@ -50,7 +51,7 @@ def channels(values: Mapping[str, float], motors: int, outputs: int) -> list[int
         if channel is not None and channel > outputs:
             raise NotJudged(f"motor {motor} is on output {channel}: {outputs} are logged")
         if channel is None and f"SERVO{motor}_FUNCTION" in values:
-            raise NotJudged(f"no SERVOn_FUNCTION is {checks.function_of(motor)}, motor {motor}: another airframe?")
+            raise NotJudged(f"no SERVOn_FUNCTION is {function_of(motor)}, motor {motor}: another airframe?")
     for motor, channel in enumerate(found, start=1):
         if channel not in (None, motor):
             raise NotJudged(f"motor {motor} is on output {channel}, and where all others are is not in the log")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.meeting import Kind, Meeting
@@ -62,7 +63,7 @@ class Workshop:
     def prepare(vehicle: Vehicle, method: str, folder: str) -> Workshop:
         """Compute and install into ``folder``."""
         card = Path(folder)
-        install(vehicle, card, method=method)
+        install(vehicle, card, of_trial(vehicle), method=method)
         return Workshop(tables.compute(vehicle, allocator(method)), card)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from flying import Flying, wait_for
 
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.core import vehicle
 from nff_companion.daemon.status_server import ask
@@ -21,6 +22,7 @@ from sitl.trials.demo import DemoOptions, make_fleet
 from sitl.trials.fly import arducopter
 from sitl.trials.process import DaemonProcess, config_text, free_port
 
+OCTO = vehicle.load("octo-x")
 ADJACENT = [[1, 3], [1, 5], [2, 4], [2, 6], [3, 8], [4, 8], [5, 7], [6, 7]]
 SAME_SPIN_90 = [[1, 7], [1, 8], [2, 7], [2, 8], [3, 4], [3, 5], [4, 6], [5, 6]]
 STOCK_CRASHES = [*ADJACENT[::2], *SAME_SPIN_90[::2]]
@@ -89,7 +91,7 @@ def state(folder: Path) -> dict[str, Any]:
 def test_the_daemon_finds_the_applet_names_the_motor_and_leaves_its_mask_behind(tmp_path: Path) -> None:
     port = free_port()
     card = tmp_path / "card"
-    install(vehicle.load("octo-x"), card)
+    install(OCTO, card, of_trial(OCTO))
     fleet = make_fleet(DemoOptions(failures=[(3, 7.0)], wind_m_s=2.0))
     flying = Flying(fleet, [f"udpout:127.0.0.1:{port}"], card=card)
     with DaemonProcess(config(tmp_path, port), tmp_path / "log") as daemon, flying:
@@ -113,7 +115,7 @@ def test_the_daemon_finds_the_applet_names_the_motor_and_leaves_its_mask_behind(
 @pytest.mark.realtime
 def test_the_doctor_finds_a_ready_vehicle_and_a_wrong_motor_order(tmp_path: Path) -> None:
     card = tmp_path / "card"
-    install(vehicle.load("octo-x"), card)
+    install(OCTO, card, of_trial(OCTO))
     for order, code in ((35.0, 0), (36.0, 1)):
         port = free_port()
         fleet = make_fleet(DemoOptions(failures=[]))

@@ -17,6 +17,7 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.autopilots import schedule, times
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
 from nff_companion.autopilots.ardupilot.adapter import ArduPilotAdapter
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
 from nff_companion.autopilots.base import Permit
@@ -60,7 +61,8 @@ def heartbeat(*, armed: bool, mode: int = 4) -> Message:
 
 
 GOOD = {f"SERVO{i}_FUNCTION": 32.0 + i for i in range(1, 9)}
-GOOD |= {"FRAME_CLASS": 17.0, "MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
+GOOD |= {"FRAME_CLASS": 17.0, "FRAME_TYPE": 1.0, "NFF_FRAME": 301.0}
+GOOD |= {"MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
 GOOD |= {"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0, "SCR_ENABLE": 1.0, "FLIGHT_OPTIONS": 1.0}
 GOOD |= {"INS_GYRO_FILTER": 20.0, "INS_ACCEL_FILTER": 10.0}
 
@@ -371,7 +373,7 @@ class OnTheWire:
     """A vehicle on the ground with the card of octo-x, and adapters that hear it; ``sent`` is what they say."""
 
     def __init__(self, folder: Path) -> None:
-        install(OCTO, folder)
+        install(OCTO, folder, of_trial(OCTO))
         fault = Fault(vehicle=0, motor=3, start_s=_FAULT_S)
         self.fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), FleetOptions(seeds=[1]), [fault])
         self.autopilot = WireAutopilot(self.fleet, 0, card=folder)
@@ -467,7 +469,8 @@ def test_a_wrong_airframe_file_is_said_and_nothing_is_changed_whatever_is_allowe
     assert np.array_equal(wire.factors, before)
     obstacle = adapter.condition(wire.fleet.time_s).command
     assert obstacle is not None
-    assert obstacle.reason == Reason.CARD_DIFFERS
+    assert obstacle.reason == Reason.CONTRADICTION
+    assert "those of octo-plus (FRAME_CLASS 3, FRAME_TYPE 0), not of FRAME_CLASS 3, FRAME_TYPE 1" in obstacle.text
     findings = {finding.name: finding for finding in adapter.findings()}
     assert findings["card"].ok is False
     assert "octo-plus" in findings["card"].detail
@@ -494,6 +497,20 @@ def test_a_card_that_agrees_is_left_alone(wire: OnTheWire, plans: dict[int, Plan
     wire.run(4.0)
     assert wire.kinds()["TUNNEL TABLE"] == 0
     assert all(finding.ok is not False for finding in adapter.findings()), adapter.findings()
+    card = next(finding.detail for finding in adapter.findings() if finding.name == "card")
+    assert card.endswith("which was compared at the installation with FRAME_CLASS 3, FRAME_TYPE 1 (octo-x)")
+
+
+def test_a_card_of_this_file_that_was_compared_with_another_frame_is_not_commanded(
+    wire: OnTheWire, plans: dict[int, Plan]
+) -> None:
+    wire.parameters["NFF_FRAME"] = 401.0
+    adapter = wire.attach("octo-x", changed(plans, 0b1), Permit.ACT, INSTANCE)
+    wire.run(4.0)
+    assert set(wire.kinds()) == {"PARAM_REQUEST_READ", "TUNNEL HEARTBEAT"}
+    obstacle = adapter.condition(wire.fleet.time_s).command
+    assert obstacle is not None
+    assert "not of FRAME_CLASS 4, FRAME_TYPE 1 (coax-x8)" in obstacle.text
 
 
 def arm(wire: OnTheWire) -> None:
@@ -555,7 +572,7 @@ def flown(folder: Path, airframe_name: str, mode: Mode) -> tuple[VirtualFlight, 
     """Eight seconds of an octo-x whose motor 3 fails at 6 s, with a companion that has the file of ``airframe_name``:
     the flight, the factors at its start, and what of the companion's is no publication."""
     plans = tables.compute(vehicle.load(airframe_name), allocator("trim"))
-    install(OCTO, folder)
+    install(OCTO, folder, of_trial(OCTO))
     fault = Fault(vehicle=0, motor=3, start_s=_FAULT_S)
     options = FleetOptions(seeds=[1], height_m=10.0)
     fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), options, [fault])
@@ -596,7 +613,8 @@ def test_a_companion_with_another_airframe_file_changes_nothing_and_says_why(tmp
     assert not COMMANDS & set(kinds)
     assert personality.port.factors is not None
     assert np.array_equal(personality.port.factors, before)
-    assert companion.session.moment().verdict.reason == Reason.CARD_DIFFERS
+    assert companion.session.moment().verdict.reason == Reason.CONTRADICTION
+    assert "octo-plus" in companion.session.moment().verdict.text
     assert not trial.fleet.state.crashed[0]
 
 

@@ -206,6 +206,20 @@ def test_parameters_that_contradict_the_airframe_are_said(tmp_path: Path, name: 
     not_judged(Said(log_files.tlog(tmp_path / "other.tlog", extra=[parameter])), name, "airframe")
 
 
+def test_a_log_of_another_frame_of_as_many_motors_is_not_judged(tmp_path: Path) -> None:
+    """FRAME_TYPE 0 is octa plus; of a class that a script makes, what the applet says was flown before."""
+    said = "FRAME_CLASS 3, FRAME_TYPE 0 (octo-plus)"
+    applets = {**GOOD_PARAMETERS, "FRAME_CLASS": 17.0, "NFF_FRAME": 300.0}
+    for name, values in (("type", {**GOOD_PARAMETERS, "FRAME_TYPE": 0.0}), ("applet", applets)):
+        not_judged(Said(log_files.dataflash(tmp_path / f"{name}.bin", values)), said, "motor 1")
+    extra = [
+        dialect.MAVLink_param_value_message(key.encode(), value, dialect.MAV_PARAM_TYPE_REAL32, 1, 0)
+        for key, value in (("FRAME_CLASS", 3.0), ("FRAME_TYPE", 0.0))
+    ]
+    not_judged(Said(log_files.tlog(tmp_path / "type.tlog", extra=extra)), said, "motor 1")
+    names_motor_7(Said(log_files.dataflash(tmp_path / "same.bin", {**applets, "NFF_FRAME": 301.0})))
+
+
 def test_a_parameter_counts_as_it_was_at_take_off(tmp_path: Path) -> None:
     later = [(4.0, "SERVO5_FUNCTION", 0.0), (4.0, "MOT_THST_EXPO", 0.1)]
     names_motor_7(Said(log_files.dataflash(tmp_path / "relay.bin", changes=later)))
@@ -232,6 +246,14 @@ def test_px4s_parameters_are_looked_at_too(tmp_path: Path) -> None:
     not_judged(Said(log_files.ulog(tmp_path / "curve.ulg", parameters=expo)), "THR_MDL_FAC is 0.1")
     width = {f"PWM_MAIN_FUNC{k}": 100 + k for k in range(1, 9)} | {"PWM_MAIN_MIN3": 1100}
     not_judged(Said(log_files.ulog(tmp_path / "width.ulg", parameters=width)), "1100")
+    octa = vehicle.load(OCTA)
+    rotors: dict[str, float] = {"CA_ROTOR_COUNT": 8}
+    for i, k in enumerate((0, 2, 1, 3, 4, 5, 6, 7)):
+        place = dict(zip(("PX", "PY"), map(float, octa.position_m[k]), strict=True))
+        rest = {"PZ": 0.0, "AX": 0.0, "AY": 0.0, "AZ": -1.0, "CT": 6.5, "KM": 0.05 * float(octa.spin[k])}
+        rotors |= {f"CA_ROTOR{i}_{suffix}": value for suffix, value in (place | rest).items()}
+    swapped = Said(log_files.ulog(tmp_path / "swapped.ulg", parameters=rotors))
+    not_judged(swapped, "motor 2: the airframe file has it at -158 deg, cw", "and its motor 3 there")
 
 
 def test_px4s_output_functions_say_where_the_motors_are(tmp_path: Path) -> None:

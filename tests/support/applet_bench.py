@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.autopilots.ardupilot import tunnel
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Kind, TunnelMessage
 from nff_companion.core import vehicle
@@ -26,7 +27,7 @@ class AppletBench:
 
     def __init__(self, folder: Path, *, scripted: bool = True, height_m: float = 10.0) -> None:
         self.vehicle: Vehicle = vehicle.load("octo-x")
-        install(self.vehicle, folder, scripted=scripted)
+        install(self.vehicle, folder, of_trial(self.vehicle), scripted=scripted)
         self.fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), FleetOptions(seeds=[1], height_m=height_m))
         parameters = {"FRAME_CLASS": 17.0 if scripted else 3.0}
         self.autopilot = ArduPilotPersonality(self.fleet, 0, folder, parameters, SYSTEM)

@@ -123,6 +123,17 @@ def test_an_airframe_file_is_shown_too(nff: Nff) -> None:
     assert shown["motors"][0] == {"motor": 1, "forward": 0.4401, "right": -0.65, "spin": "cw"}
 
 
+def test_which_frame_an_airframe_file_is_is_said(nff: Nff) -> None:
+    for name, frame, text in (
+        ("arducopter-octa-x", "octo-x", "It is octo-x, motor by motor."),
+        ("paper-octo", None, "It is no frame of the catalogue."),
+    ):
+        path = str(vehicle.path_of(name))
+        assert nff.document("show", path)["frame"] == frame
+        assert text in nff("show", path)[2]
+    assert "frame" not in nff.document("show", "octo-x")
+
+
 def test_a_new_airframe_is_written_and_what_is_guessed_is_named(nff: Nff, tmp_path: Path) -> None:
     path = tmp_path / "[bold]mine.toml"
     made = nff.document("new", "--out", str(path), "--frame", "octo-x", "--arm", "0.5", "--mass", "6")

@@ -17,6 +17,7 @@ from nff_companion.errors import ConfigError
 from nff_companion.frames import ardupilot, catalogue, draft, px4
 from nff_companion.frames.parameter_file import Parameters
 from nff_companion.frames.reading import Reading
+from nff_companion.frames.servo_functions import function_of
 from sitl import airframe as plant
 
 FLYING = [name for name, frame in catalogue.frames().items() if not frame.without]
@@ -230,7 +231,7 @@ def test_motors_on_other_outputs_are_a_note() -> None:
 
 
 def test_twelve_motors_have_functions_in_two_ranges() -> None:
-    values: dict[str, float] = {f"SERVO{n}_FUNCTION": checks.function_of(n) for n in range(1, 13)}
+    values: dict[str, float] = {f"SERVO{n}_FUNCTION": function_of(n) for n in range(1, 13)}
     reading = ardupilot.read(Parameters(values | {"FRAME_CLASS": 12, "FRAME_TYPE": 1}, "x"), None)
     assert reading.notes == []
     assert reading.motors == 12

@@ -30,7 +30,7 @@ IMPURE = {
 FLOORS = (
     {"errors"},
     {"core", "mavlink"},
-    {"condition"},
+    {"condition", "frames"},
     {"allocation"},
     {"control"},
     {"admission", "companion_state"},
@@ -40,7 +40,7 @@ FLOORS = (
     {"reporting"},
     {"voice"},
     {"session"},
-    {"daemon", "replay", "training", "frames"},
+    {"daemon", "replay", "training"},
     {"cli"},
 )
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
-import subprocess
-import sys
 from importlib import resources
 from pathlib import Path
 
@@ -17,10 +14,13 @@ from lupa.lua53 import LuaRuntime
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots import times
 from nff_companion.autopilots.ardupilot import checks, factors, tunnel
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.card import Card
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.core import vehicle
 from nff_companion.errors import AllocationInfeasible
+
+OCTO = vehicle.load("octo-x")
 
 
 def test_the_stock_table_is_what_the_firmware_makes_of_its_own_frame() -> None:
@@ -105,35 +105,11 @@ def test_a_motor_more_than_the_airframe_has_is_seen_where_the_frame_does_not_say
     assert checks.misfits({**five, "FRAME_CLASS": 1.0}, quad) == []
 
 
-def test_the_card_holds_scripts_tables_and_parameters(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "nff_companion.cli.main", "ardupilot", "install", "--to", str(tmp_path), "--json"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    names = {str(Path(f).relative_to(tmp_path)) for f in json.loads(result.stdout)["files"]}
-    assert names == {
-        "nff_companion.lua",
-        "nff_watchdog.lua",
-        "modules/nff_protocol.lua",
-        "modules/nff_mixer.lua",
-        "modules/nff_commands.lua",
-        "modules/nff_airframe.lua",
-        "modules/nff_times.lua",
-        "nff_companion.parm",
-    }
-    lines = (tmp_path / "nff_companion.parm").read_text().splitlines()
-    assert {"FRAME_CLASS 17", "SCR_ENABLE 1", "SERVO8_FUNCTION 40"} <= set(lines)
-    install(vehicle.load("octo-x"), tmp_path, scripted=False)
-    assert "FRAME_CLASS" not in (tmp_path / "nff_companion.parm").read_text()
-
-
 LUA = resources.files("nff_companion") / "autopilots" / "ardupilot" / "lua"
 
 
 def test_the_times_on_the_card_are_those_of_the_protocol(tmp_path: Path) -> None:
-    install(vehicle.load("octo-x"), tmp_path)
+    install(OCTO, tmp_path, of_trial(OCTO))
     module = LuaRuntime().execute((tmp_path / "modules" / "nff_times.lua").read_text())
     on_the_card = dict(module.items())
     assert on_the_card == {

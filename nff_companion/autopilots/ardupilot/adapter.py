@@ -35,6 +35,7 @@ _SILENT = Statement(Reason.SILENT, "the applet")
 _READING = Statement(Reason.READING)
 # Override follows the targets of GUIDED alone: in every other mode it would fly against the pilot.
 _NOT_GUIDED = Statement(Reason.NOT_GUIDED)
+_NOT_COMPARED = "the applet does not say which frame its mixer was compared with: install it again"
 
 
 class ArduPilotAdapter:
@@ -160,13 +161,22 @@ class ArduPilotAdapter:
 
     def _obstacle(self, now_s: float, applied: dict[str, int] | None) -> Statement | None:
         """Why no command may be sent."""
-        absent, wrong = self._reader.absent, self._contradictions
+        absent, wrong = self._absent(), self._contradictions
         return first(
             None if self._reader.complete else _READING,
             Statement(Reason.PARAMETER_SILENT, absent[0]) if absent else None,
             Statement(Reason.CONTRADICTION, wrong[0]) if wrong else None,
             self._mute(now_s) if applied is None else self._misfit(applied),
+            Statement(Reason.CONTRADICTION, _NOT_COMPARED) if self._not_compared(applied) else None,
         )
+
+    def _absent(self) -> list[str]:
+        """Parameters of the firmware's own that it does not answer for."""
+        return [name for name in self._reader.absent if name != checks.FRAME_BEFORE]
+
+    def _not_compared(self, applied: dict[str, int] | None) -> bool:
+        """An applet that answers, of a release that did not look at what flew before its mixer."""
+        return applied is not None and checks.FRAME_BEFORE in self._reader.absent
 
     def _mute(self, now_s: float) -> Statement:
         """Nothing readable comes from the applet."""
@@ -228,19 +238,28 @@ class ArduPilotAdapter:
         motors = "the applet does not say" if applied is None else f"the applet flies {applied['motors']}"
         stock = applied is not None and bool(self._card.stock_agrees)
         differs = Statement(Reason.CARD_DIFFERS, self._vehicle.name).text if applied is not None else silent
-        wrong = self._contradictions + [f"no answer for {name}" for name in self._reader.absent]
+        wrong = self._contradictions + [f"no answer for {name}" for name in self._absent()]
+        wrong += [_NOT_COMPARED] if self._not_compared(applied) else []
         read = self._reader.complete and not wrong
         out = [
             Finding("applet", applied is not None, "answers" if applied is not None else silent),
             Finding("watchdog", runs, "runs" if runs else "is silent"),
             Finding("motors", applied is not None and applied["motors"] == self._vehicle.motors, motors),
-            Finding("card", stock, f"the mixer is that of {self._vehicle.name}" if stock else differs),
+            Finding("card", stock, self._mixer() if stock else differs),
             Finding("tables", applied is not None and self._card.agrees, self._card.report()),
             Finding("parameters", read, "; ".join(wrong) or ("agree with the airframe" if read else _READING.text)),
         ]
         if applied is not None and applied["owner"] not in (0, self._instance):
             out.append(Finding("companion", False, f"the applet obeys another one, instance {applied['owner']}"))
         return out + [Finding("advice", None, text) for text in checks.advice(values, self._vehicle)]
+
+    def _mixer(self) -> str:
+        """What is in the mixer's place on the card, and by what that was found good; the stock one is the file's."""
+        text, frame = f"the mixer is that of {self._vehicle.name}", checks.compared_with(self._reader.values)
+        if not frame:
+            return f"{text}; which frame it was compared with is not known"
+        at = " at the installation" if self._reader.values.get("FRAME_CLASS") == checks.FRAME_CLASS_SCRIPTED else ""
+        return f"{text}, which was compared{at} with {frame}"
 
     # -- commands -----------------------------------------------------------------------------------------------
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.frames import catalogue
+from nff_companion.frames.catalogue import Frame
+from nff_companion.frames.comparison import contradictions_of_frame
+from nff_companion.frames.servo_functions import SERVOS, function_of
 
 FRAME_CLASS_SCRIPTED = 17
-_FRAME_CLASSES = {4: (1,), 6: (2, 5, 13), 8: (3, 4), 10: (14,), 12: (12, 15)}
-_FIRST_FUNCTION, _NINTH_FUNCTION = 33, 82
-SERVOS = 32
+FRAME_BEFORE = "NFF_FRAME"  # of the applet: what was flown before its mixer, FRAME_CLASS times 100 plus FRAME_TYPE
+_CLASS_FACTOR = 100
 _THROTTLE = 3  # RCMAP_THROTTLE as it is shipped
 _IGNORE_THRUST_LOSS = 1
-
-
-def function_of(motor: int) -> int:
-    """SERVOn_FUNCTION of a motor (from 1)."""
-    return _FIRST_FUNCTION + motor - 1 if motor <= 8 else _NINTH_FUNCTION + motor - 9
 
 
 def names(vehicle: Vehicle) -> list[str]:
@@ -24,6 +22,7 @@ def names(vehicle: Vehicle) -> list[str]:
     servos = [f"SERVO{n}_FUNCTION" for n in range(1, vehicle.motors + 1)]
     return [
         "FRAME_CLASS",
+        "FRAME_TYPE",
         "MOT_THST_EXPO",
         "MOT_SPIN_MIN",
         "MOT_SPIN_MAX",
@@ -38,11 +37,43 @@ def names(vehicle: Vehicle) -> list[str]:
 
 
 def further(values: Mapping[str, float]) -> list[str]:
-    """Parameters that must be known besides, by what others are: where the motors' range is the throttle stick's."""
+    """Parameters that must be known besides, by what others are: where the frame is the applet's, which it was before;
+    where the motors' range is the throttle stick's, that."""
+    out = [FRAME_BEFORE] if values.get("FRAME_CLASS") == FRAME_CLASS_SCRIPTED else []
     if not _range_unset(values):
-        return []
-    channel = values.get("RCMAP_THROTTLE")
-    return ["RCMAP_THROTTLE"] if channel is None else _range_names(values)
+        return out
+    return [*out, *(_range_names(values) if "RCMAP_THROTTLE" in values else ["RCMAP_THROTTLE"])]
+
+
+def frame_number(frame_class: int, frame_type: int) -> int:
+    """What ``FRAME_BEFORE`` is for a frame."""
+    return _CLASS_FACTOR * frame_class + frame_type
+
+
+def frame_numbers(values: Mapping[str, float]) -> tuple[int, int | None] | None:
+    """FRAME_CLASS and FRAME_TYPE (None: not said) of the frame that the firmware flies, or flew before the applet's
+    mixer; None: not said."""
+    frame_class, frame_type = values.get("FRAME_CLASS"), values.get("FRAME_TYPE")
+    if frame_class == FRAME_CLASS_SCRIPTED:
+        before = values.get(FRAME_BEFORE)
+        return divmod(round(before), _CLASS_FACTOR) if before else None
+    if frame_class is None:
+        return None
+    return round(frame_class), None if frame_type is None else round(frame_type)
+
+
+def called(frame_class: int, frame_type: int, frame: Frame) -> str:
+    """A frame of the firmware, for people."""
+    return f"FRAME_CLASS {frame_class}, FRAME_TYPE {frame_type} ({frame.name})"
+
+
+def compared_with(values: Mapping[str, float]) -> str:
+    """The frame that the mixer was compared with when it was installed, for people; empty: it is not known."""
+    frame_class, frame_type = frame_numbers(values) or (None, None)
+    if frame_class is None or frame_type is None:
+        return ""
+    frame = catalogue.of_ardupilot(frame_class, frame_type)
+    return "" if frame is None else called(frame_class, frame_type, frame)
 
 
 def channel_of(values: Mapping[str, float], motor: int) -> int | None:
@@ -64,12 +95,10 @@ def contradictions(values: Mapping[str, float], vehicle: Vehicle) -> list[str]:
 def misfits(values: Mapping[str, float], vehicle: Vehicle) -> list[str]:
     """What of these parameters is not so of this airframe, wherever its motors are connected."""
     out: list[str] = []
-    command, frame_class = vehicle.command, values.get("FRAME_CLASS")
-    fitting = _FRAME_CLASSES.get(vehicle.motors, ())
-    if frame_class is not None and frame_class != FRAME_CLASS_SCRIPTED:
-        if fitting and frame_class not in fitting:
-            out.append(f"FRAME_CLASS is {frame_class:.0f}, the airframe has {vehicle.motors} motors")
-    else:
+    command, numbers = vehicle.command, frame_numbers(values)
+    if numbers is not None:
+        out += _of_frame(*numbers, vehicle)
+    if values.get("FRAME_CLASS") in (None, FRAME_CLASS_SCRIPTED):
         more = channel_of(values, vehicle.motors + 1)  # of a frame that is known it is a leftover
         if more is not None:
             text = f"SERVO{more}_FUNCTION drives motor {vehicle.motors + 1}"
@@ -92,6 +121,18 @@ def misfits(values: Mapping[str, float], vehicle: Vehicle) -> list[str]:
         if value is not None and abs(value - wanted) > tolerance:
             out.append(f"{name} is {value:g}, the airframe file says {wanted:g}")
     return out
+
+
+def _of_frame(frame_class: int, frame_type: int | None, vehicle: Vehicle) -> list[str]:
+    """What of the frame that the firmware flies is not so of the airframe."""
+    if catalogue.motors_of_ardupilot(frame_class) != vehicle.motors:
+        return [f"FRAME_CLASS is {frame_class}, the airframe has {vehicle.motors} motors"]
+    if frame_type is None:
+        return []
+    frame = catalogue.of_ardupilot(frame_class, frame_type)
+    if frame is None:
+        return [f"FRAME_CLASS {frame_class} with FRAME_TYPE {frame_type} is no frame that is known here"]
+    return contradictions_of_frame(vehicle, frame, called(frame_class, frame_type, frame))
 
 
 def _range_unset(values: Mapping[str, float]) -> bool:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.autopilots import times
-from nff_companion.autopilots.ardupilot import checks, factors
+from nff_companion.autopilots.ardupilot import factors
+from nff_companion.autopilots.ardupilot.before import KEPT, Before
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError
+from nff_companion.frames.servo_functions import function_of
 
 SCRIPTS = ("nff_companion.lua", "nff_watchdog.lua")
 MODULES = ("nff_protocol.lua", "nff_mixer.lua", "nff_commands.lua")
@@ -45,14 +47,16 @@ def _source(*parts: str) -> bytes:
     return folder.read_bytes()
 
 
-def airframe_module(vehicle: Vehicle, rows: dict[int, NDArray[np.int16]]) -> str:
-    """Lua module with what the scripts must know of the airframe; ``rows`` (m, 4) int16 by failed mask."""
+def airframe_module(vehicle: Vehicle, rows: dict[int, NDArray[np.int16]], frame: int) -> str:
+    """Lua module with what the scripts must know of the airframe; ``rows`` (m, 4) int16 by failed mask; ``frame``: the
+    number of the one that was flown before, checks.FRAME_BEFORE."""
     command = vehicle.command
     lines = [
         f"-- {vehicle.name}: written by `nff ardupilot install`; factors as in nff_protocol.lua, by failed mask",
         "return {",
         f'  name = "{vehicle.name}",',
         f"  motors = {vehicle.motors},",
+        f"  frame = {frame},",
         f"  pwm_min = {command.pwm_min:.0f},",
         f"  pwm_max = {command.pwm_max:.0f},",
         "  tables = {",
@@ -85,16 +89,25 @@ def parameter_file(vehicle: Vehicle, *, scripted: bool) -> str:
             "# bit 0: a reallocated vehicle must not trip the thrust-loss check",
             "FLIGHT_OPTIONS 1",
         ]
-        lines += [f"SERVO{m}_FUNCTION {checks.function_of(m)}" for m in range(1, vehicle.motors + 1)]
+        lines += [f"SERVO{m}_FUNCTION {function_of(m)}" for m in range(1, vehicle.motors + 1)]
     return "\n".join([*lines, ""])
 
 
-def install(vehicle: Vehicle, folder: Path, *, scripted: bool = True, method: str = "trim") -> list[Path]:
-    """Write everything into ``folder`` (the card's scripts directory); the files written. Raises ConfigError."""
+def install(
+    vehicle: Vehicle, folder: Path, before: Before, *, scripted: bool = True, method: str = "trim"
+) -> list[Path]:
+    """Write everything into ``folder`` (the card's scripts directory); the files written. Raises ConfigError, and
+    nothing is written, where the airframe is not what flew ``before``."""
+    wrong = before.contradictions(vehicle)
+    if wrong:
+        raise ConfigError(
+            f"airframe {vehicle.name} is not what this autopilot flies, nothing is installed: {'; '.join(wrong)}"
+        )
     plans = tables.compute(vehicle, allocator(method))
-    files = {folder / name: _source(name) for name in SCRIPTS}
+    files = {folder / KEPT: before.kept.encode()}
+    files |= {folder / name: _source(name) for name in SCRIPTS}
     files.update({folder / "modules" / name: _source("modules", name) for name in MODULES})
-    module = airframe_module(vehicle, factors.of_plans(vehicle, plans))
+    module = airframe_module(vehicle, factors.of_plans(vehicle, plans), before.number)
     files[folder / "modules" / AIRFRAME] = module.encode()
     files[folder / "modules" / TIMES] = times_module().encode()
     files[folder / PARAMETERS] = parameter_file(vehicle, scripted=scripted).encode()

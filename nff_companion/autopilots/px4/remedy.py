@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from nff_companion.autopilots.px4 import allocator
 from nff_companion.autopilots.px4.allocator import Geometry
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.frames.catalogue import Frame
+from nff_companion.frames.comparison import contradictions_of_frame
 
 _THRUST_RESERVE = 1.0  # largest thrust over weight that the told allocator must reach
 _BIAS_MAX = 0.03  # of an axis' full torque left over at hover
@@ -171,14 +173,6 @@ def geometry_of(values: dict[str, float], motors: int) -> Geometry:
 
 def disagreement(geometry: Geometry, vehicle: Vehicle) -> str:
     """How PX4's rotors differ from the airframe file's; empty when they agree in place, order and spin."""
-    scale = np.abs(vehicle.position_m).max()
-    told = geometry.position_m[:, :2]
-    # PX4's place and scale are the user's; order and directions must be the same.
-    size = np.abs(told).max() or 1.0
-    for motor in range(vehicle.motors):
-        if np.abs(told[motor] / size - vehicle.position_m[motor] / scale).max() > 0.2:
-            return f"CA_ROTOR{motor} is not where the airframe file has motor {motor + 1}: check the motor order"
-        # KM is positive for a rotor that turns counter-clockwise.
-        if np.sign(geometry.moment_ratio[motor]) != np.sign(vehicle.spin[motor]):
-            return f"CA_ROTOR{motor}_KM turns the other way than motor {motor + 1} of the airframe file"
-    return ""
+    # KM is positive for a rotor that turns counter-clockwise. Place and scale are the user's.
+    frame = Frame("CA_ROTORn of PX4", geometry.position_m[:, :2], np.sign(geometry.moment_ratio))
+    return "; ".join(contradictions_of_frame(vehicle, frame))

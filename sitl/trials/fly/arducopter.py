@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install, parameter_file
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.vehicle import Vehicle
@@ -78,7 +79,7 @@ class Simulator:
         scripts = folder / "scripts"
         scripts.mkdir()
         if with_applet:
-            install(vehicle, scripts)
+            install(vehicle, scripts, of_trial(vehicle))
         (scripts / "fault.lua").write_text(_FAULT_SCRIPT, encoding="utf-8")
         places = {f"motor{i + 1}_position": [*vehicle.position_m[i].tolist(), 0.0] for i in range(vehicle.motors)}
         (folder / "frame.json").write_text(json.dumps({"num_motors": vehicle.motors, **places}), encoding="utf-8")

@@ -23,11 +23,14 @@ local watchdog_count, watchdog_seen_ms = -1, boot_ms - T.WATCHDOG_SILENT_MS
 local ticks = 0
 local last_run_ms = boot_ms
 
--- Counters that the watchdog script and a ground station can read.
-param:add_table(PARAMETER_TABLE, "NFF_", 3)
+-- Counters that the watchdog script and a ground station can read; and the frame that was flown before our mixer, by
+-- which the companion compares its airframe file.
+param:add_table(PARAMETER_TABLE, "NFF_", 4)
 param:add_param(PARAMETER_TABLE, 1, "ALIVE", 0)
 param:add_param(PARAMETER_TABLE, 2, "FAILED", 0)
 param:add_param(PARAMETER_TABLE, 3, "WATCH", 0)
+param:add_param(PARAMETER_TABLE, 4, "FRAME", 0)
+Parameter("NFF_FRAME"):set(airframe.frame)
 local alive = Parameter("NFF_ALIVE")
 local watchdog = Parameter("NFF_WATCH")
 commands.failed_parameter = Parameter("NFF_FAILED")
