@@ -78,9 +78,7 @@ class _Made:
         return Vehicle(self.data)
 
     @staticmethod
-    def of(
-        flight: LogFlight, values: dict[str, float], frame: Frame | None, outputs: LogTable | None = None
-    ) -> _Made:
+    def of(flight: LogFlight, values: dict[str, float], frame: Frame | None, outputs: LogTable | None = None) -> _Made:
         """Raises NotJudged."""
         try:
             reading = _reading(flight, values, frame)
@@ -242,7 +240,11 @@ def _turning(data: AirframeFile, found: Fit, arm_m: float) -> tuple[AirframeFile
         return data, "inertia, drag torque and lag guessed: the outputs in the log tell too little of the motion"
     roll, pitch = (gain[k] if told[k] else gain[1 - k] for k in range(2))
     before = data.airframe.inertia_kg_m2
-    inertia = (before[0] / roll, before[1] / pitch, before[2] * (before[0] / roll + before[1] / pitch) / sum(before[:2]))
+    inertia = (
+        before[0] / roll,
+        before[1] / pitch,
+        before[2] * (before[0] / roll + before[1] / pitch) / sum(before[:2]),
+    )
     yaw = gain[2] if told[2] else 2.0 / (1.0 / roll + 1.0 / pitch)
     torque = data.motor.torque_per_thrust_m * yaw * inertia[2] / before[2]
     motor = msgspec.structs.replace(

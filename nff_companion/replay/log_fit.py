@@ -23,9 +23,9 @@ _RATE_MIN_HZ = 20.0  # of samples and of outputs: with less the band holds nothi
 _PART, _PART_LEAST_S, _PART_MOST_S = 0.2, 5.0, 120.0  # of the flight that is looked at, from its beginning
 _LAGS_S = (0.005, 0.015, 0.03, 0.045, 0.065, 0.09, 0.12)
 # It flies where thrust over specific force, smoothed, has come near to what it is in the next seconds, and more is
-# asked for than a share of the largest thrust in the log, idling.
-_RISEN, _RISING_S, _SMOOTH_S, _IDLE = 0.9, 1.5, 0.7, 0.3
-_LARGEST = 90.0  # per cent of the samples in which anything is asked for
+# asked for than idling: a share of what is usual among what is no small part of the largest.
+_RISEN, _RISING_S, _SMOOTH_S, _IDLE = 0.9, 1.5, 0.7, 0.35
+_LARGEST, _SMALL = 90.0, 0.3  # per cent of the samples in which anything is asked for; share
 _CARRIED = (0.3, 3.0)  # specific force over g of a vehicle that is carried by its motors
 _LEAST_FLYING_S = 2.5
 
@@ -66,9 +66,11 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
     whole = np.array([s.armed for s in samples]) & np.isfinite(thrust).all(axis=1) & np.isfinite(force_up)
     mean = np.where(whole, np.nan_to_num(thrust).mean(axis=1), 0.0)
     step_s = float(np.median(np.diff(time_s)))
-    idle = _IDLE * float(np.percentile(mean[mean > 0.0], _LARGEST)) if (mean > 0.0).any() else np.inf
+    if not (mean > 0.0).any():
+        return None
+    idle = _IDLE * float(np.median(mean[mean > _SMALL * np.percentile(mean[mean > 0.0], _LARGEST)]))
     flying = whole & (mean > idle)
-    flying[: _take_off(mean, mean / np.maximum(force_up, _CARRIED[0] * GRAVITY_M_S2), idle, step_s)] = False
+    flying[: _take_off(mean, force_up, idle, step_s)] = False
     flown_s = np.cumsum(flying) * step_s
     flying &= flown_s <= min(max(_PART * float(flown_s[-1]), _PART_LEAST_S), _PART_MOST_S)
     carried = flying & (force_up > _CARRIED[0] * GRAVITY_M_S2) & (force_up < _CARRIED[1] * GRAVITY_M_S2)
@@ -89,17 +91,17 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
     )
 
 
-def _take_off(mean: Array, ratio: Array, idle: float, step_s: float) -> int:
-    """Index from which on the vehicle is carried, by its mean thrust (N,) and the ``ratio`` (N,) of that and the specific
-    force; N: never."""
+def _take_off(mean: Array, force_up: Array, idle: float, step_s: float) -> int:
+    """Index from which on the vehicle is carried, by its mean thrust (N,) and its specific force (N,); N: never."""
     smooth_n, rising_n = max(round(_SMOOTH_S / step_s), 1), max(round(_RISING_S / step_s), 1)
-    if len(ratio) <= smooth_n + rising_n:
-        return len(ratio)
+    if len(mean) <= smooth_n + rising_n:
+        return len(mean)
     box = np.full(smooth_n, 1.0 / smooth_n)
-    slow, thrust = (np.convolve(values, box, mode="valid") for values in (ratio, mean))
+    thrust, force = (np.convolve(values, box, mode="valid") for values in (mean, np.nan_to_num(force_up)))
+    slow = thrust / np.maximum(force, _CARRIED[0] * GRAVITY_M_S2)
     ahead = np.lib.stride_tricks.sliding_window_view(slow, rising_n).max(axis=1)
     begun = np.flatnonzero((slow[: len(ahead)] >= _RISEN * ahead) & (thrust[: len(ahead)] > idle))
-    return int(begun[0]) if len(begun) else len(ratio)
+    return int(begun[0]) if len(begun) else len(mean)
 
 
 def _windows(
@@ -123,14 +125,14 @@ def fit(vehicle: Vehicle, motion: Motion) -> Fit:
     """Of the rows of ``vehicle``'s effectiveness, with the lag in common."""
     count, length = motion.turning.shape[:2]
     lag_s = vehicle.motor.time_constant_up_s
-    frequency = np.fft.rfftfreq(length, 1.0 / motion.rate_hz)
+    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / motion.rate_hz), np.float64)
     inside = (frequency >= motion.band_hz[0]) & (frequency <= motion.band_hz[1])
     if count < _WINDOWS_MIN or not inside.any() or not motion.fast:
         return Fit(np.ones(3), np.zeros(3), lag_s)
     taper = np.hanning(length)[None, :, None]
     measured = np.fft.rfft(taper * (motion.turning - motion.turning.mean(axis=1, keepdims=True)), axis=1)[:, inside]
-    asked = motion.thrust @ vehicle.acceleration_effectiveness[1:].T
-    asked = np.fft.rfft(taper * (asked - asked.mean(axis=1, keepdims=True)), axis=1)[:, inside]
+    torque = motion.thrust @ vehicle.acceleration_effectiveness[1:].T
+    asked = np.fft.rfft(taper * (torque - torque.mean(axis=1, keepdims=True)), axis=1)[:, inside]
     asked = asked * _low_pass(frequency[inside], vehicle.telemetry.gyro_filter_hz)[None, :, None]
     best: Fit | None = None
     for lag in _LAGS_S:
@@ -150,7 +152,9 @@ def _gains(measured: NDArray[np.complex128], shown: NDArray[np.complex128], lag_
     gain = np.maximum(gain, 0.0)
     left = (np.abs(measured - gain * shown) ** 2).sum(axis=1)
     total = (np.abs(measured) ** 2).sum(axis=1)
-    explained = np.array([_median(1.0 - le / np.maximum(to, 1e-12), to) for le, to in zip(left.T, total.T, strict=True)])
+    explained = np.array(
+        [_median(1.0 - le / np.maximum(to, 1e-12), to) for le, to in zip(left.T, total.T, strict=True)]
+    )
     return Fit(gain, np.maximum(explained, 0.0), lag_s)
 
 

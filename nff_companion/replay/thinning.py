@@ -43,7 +43,7 @@ def thinned(rows: list[Row], rate_hz: float = RATE_HZ) -> list[Row]:
     ]
     samples = [sample for _, sample in rows]
     means = [_means(samples, column, first, many) for column in columns]
-    times = sum(time_s[first + k] for k in range(many)) / many
+    times = _mean(time_s, first, many)
     out: list[Row] = []
     for index, begin in enumerate(first):
         stamp, last = rows[begin + many - 1]
@@ -58,7 +58,11 @@ def _means(
     if any(value is None for value in values) or len({value.shape for value in values}) != 1:
         return None
     table = np.array(values)
-    out: NDArray[np.float64] = sum(table[first + k] for k in range(many)) / many
+    return _mean(table, first, many)
+
+
+def _mean(table: NDArray[np.float64], first: NDArray[np.int64], many: int) -> NDArray[np.float64]:
+    out: NDArray[np.float64] = np.mean([table[first + k] for k in range(many)], axis=0)
     return out
 
 

@@ -40,7 +40,8 @@ FLOORS = (
     {"reporting"},
     {"voice"},
     {"session"},
-    {"daemon", "replay", "training", "frames"},
+    {"frames"},
+    {"daemon", "replay", "training"},
     {"cli"},
 )
 # What the emulated vehicle may take from the companion's package: the wire, and nothing that knows a vehicle.
