@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -17,8 +17,9 @@ from nff_companion.core.airframe_file import AirframeFile, LogTable, fault_of
 from nff_companion.core.vehicle import AXES, GRAVITY_M_S2, Vehicle
 from nff_companion.errors import ConfigError, NotJudged
 from nff_companion.frames import ardupilot, catalogue, px4
+from nff_companion.frames import draft as frame_draft
 from nff_companion.frames.catalogue import Frame
-from nff_companion.frames.draft import Size, draft
+from nff_companion.frames.draft import Size
 from nff_companion.frames.parameter_file import Parameters
 from nff_companion.frames.reading import Reading
 from nff_companion.replay import log_fit
@@ -49,14 +50,29 @@ def vehicle_of(
 ) -> tuple[Vehicle, list[str]]:
     """The vehicle, and in sentences how it was made. ``frame_name`` of the catalogue; None: the log says it, or its
     motion does. ``outputs``: where a ULog keeps the commands, None: found. Raises NotJudged with what is missing."""
+    made = made_of(flight, frame_name, outputs)
+    return made.vehicle, made.notes
+
+
+@dataclass(frozen=True)
+class Made:
+    """``samples`` as the vehicle reads them, which it was made of; ``notes`` in sentences how."""
+
+    vehicle: Vehicle
+    notes: list[str]
+    samples: Samples
+
+
+def made_of(flight: LogFlight, frame_name: str | None = None, outputs: LogTable | None = None) -> Made:
+    """As ``vehicle_of``, with the samples thinned."""
     values = _values(flight)
     named = catalogue.by_name(frame_name) if frame_name else None
     if named is None and not _says_frame(flight, values):
         return _tried(flight, values, outputs)
-    made = _Made.of(flight, values, named, outputs)
-    how = f"frame {made.name}, " + ("as given" if named is not None else "by the log's parameters")
-    samples, motion = _motion(flight, made.vehicle)
-    return _finished(flight, made, samples, motion, [how])
+    draft = _Draft.of(flight, values, named, outputs)
+    how = f"frame {draft.name}, " + ("as given" if named is not None else "by the log's parameters")
+    samples, motion = _motion(flight, draft.vehicle)
+    return _finished(flight, draft, samples, motion, [how])
 
 
 def frame_of(vehicle: Vehicle) -> Frame:
@@ -65,7 +81,7 @@ def frame_of(vehicle: Vehicle) -> Frame:
 
 
 @dataclass(frozen=True)
-class _Made:
+class _Draft:
     """A vehicle before anything of the flight is known."""
 
     name: str
@@ -78,21 +94,21 @@ class _Made:
         return Vehicle(self.data)
 
     @staticmethod
-    def of(flight: LogFlight, values: dict[str, float], frame: Frame | None, outputs: LogTable | None = None) -> _Made:
+    def of(flight: LogFlight, values: dict[str, float], frame: Frame | None, outputs: LogTable | None = None) -> _Draft:
         """Raises NotJudged."""
         try:
             reading = _reading(flight, values, frame)
             places = len(np.unique(np.round(reading.place, 2) + 0.0, axis=0))
             arm_m = ARM_M * math.sqrt(places / 4.0)
             name = "frame of the log" if reading.frame is None else reading.frame.name
-            text = draft(reading, Size(arm_m), name, "made of a flight log").text
+            text = frame_draft.draft(reading, Size(arm_m), name, "made of a flight log").text
             data = toml_file.converted(tomllib.loads(text), AirframeFile, Path(name), "airframe")
         except ConfigError as error:
             raise NotJudged(str(error)) from error
         data = msgspec.structs.replace(data, log=outputs)
         if outputs is not None and outputs.unit == "N":
             data = msgspec.structs.replace(data, motor=msgspec.structs.replace(data.motor, max_thrust_n=_UNREAD_N))
-        return _Made(name, data, reading, arm_m)
+        return _Draft(name, data, reading, arm_m)
 
 
 # -- the frame ----------------------------------------------------------------------------------------------------
@@ -133,17 +149,17 @@ def _reading(flight: LogFlight, values: dict[str, float], frame: Frame | None) -
         return px4.read(Parameters(rest, origin), frame)
 
 
-def _tried(flight: LogFlight, values: dict[str, float], outputs: LogTable | None) -> tuple[Vehicle, list[str]]:
+def _tried(flight: LogFlight, values: dict[str, float], outputs: LogTable | None) -> Made:
     """The frame of as many motors as the log has that explains the motion, and no other does. Raises NotJudged."""
     motors = None if flight.frame is None else flight.frame.motors
     kinds = _kinds(flight, values, motors)
     if motors is None or not kinds:
         said = "" if flight.frame is None else f" (it says: {flight.frame.text})"
         raise NotJudged(_NO_FRAME + said)
-    samples, motion = _motion(flight, _Made.of(flight, values, kinds[0], outputs).vehicle)
+    samples, motion = _motion(flight, _Draft.of(flight, values, kinds[0], outputs).vehicle)
     if motion is None:
         raise NotJudged(f"{_NO_FRAME}; there is too little flight to see it")
-    all_made = [_Made.of(flight, values, frame, outputs) for frame in kinds]
+    all_made = [_Draft.of(flight, values, frame, outputs) for frame in kinds]
     fits = [log_fit.fit(flight.fit(made.vehicle), motion).explained for made in all_made]
     scores = [float(explained.mean()) if explained[:2].min() >= _TOLD_MIN else 0.0 for explained in fits]
     best = max(scores)
@@ -189,17 +205,18 @@ def _alike(one: Frame, other: Frame) -> bool:
 def _motion(flight: LogFlight, vehicle: Vehicle) -> tuple[Samples, Motion | None]:
     """Raises NotJudged."""
     samples = flight.read(vehicle)
-    return samples, log_fit.motion_of(thinned(samples.rows), flight.fit(vehicle), samples.outputs_hz)
+    samples = replace(samples, rows=thinned(samples.rows))
+    return samples, log_fit.motion_of(samples.rows, flight.fit(vehicle), samples.outputs_hz)
 
 
-def _finished(
-    flight: LogFlight, made: _Made, samples: Samples, motion: Motion | None, notes: list[str]
-) -> tuple[Vehicle, list[str]]:
+def _finished(flight: LogFlight, made: _Draft, samples: Samples, motion: Motion | None, notes: list[str]) -> Made:
     """With what the flight shows. Raises NotJudged where no vehicle flies like that."""
+    thrusts = made.data.log is not None and made.data.log.unit == "N"
     if motion is None:
-        if made.data.log is not None and made.data.log.unit == "N":
+        if thrusts:
             raise NotJudged("too little flight to see what thrust carries the vehicle")
-        return made.vehicle, [*notes, "too little flight to learn anything of the vehicle: hover, inertia, lag guessed"]
+        how = "too little flight to learn anything of the vehicle: hover, inertia, lag guessed"
+        return Made(made.vehicle, [*notes, how], samples)
     data = _hovering(made, motion)
     hover = Vehicle(data).hover
     if not _HOVER[0] <= hover <= _HOVER[1]:
@@ -213,10 +230,13 @@ def _finished(
     fault = fault_of(data)
     if fault is not None:
         raise NotJudged(f"the vehicle that this log tells of could not fly: {fault}")
-    return Vehicle(data), [*notes, learnt]
+    vehicle = Vehicle(data)
+    if thrusts:  # fractions of another full thrust
+        samples, _ = _motion(flight, vehicle)
+    return Made(vehicle, [*notes, learnt], samples)
 
 
-def _hovering(made: _Made, motion: Motion) -> AirframeFile:
+def _hovering(made: _Draft, motion: Motion) -> AirframeFile:
     """With the thrust fraction of hover by the log; where it has thrusts, mass and full thrust are those."""
     data, motors = made.data, len(made.data.rotor)
     if data.log is None or data.log.unit != "N":

@@ -32,6 +32,7 @@ _IMU = "sensor_combined"
 _ESCS = 8
 _RPM = 2.0 * np.pi / 60.0
 _FIRST_MOTOR = 101
+_MOTORS = {2: 4, 13: 6, 14: 8}  # by MAV_TYPE
 
 
 def flights(path: Path) -> list[LogFlight]:
@@ -67,7 +68,7 @@ def flights(path: Path) -> list[LogFlight]:
             autopilot="px4",
             system=None,
             parameters=parameters,
-            frame=_frame(values),
+            frame=_frame(values) or _frame_by_outputs(topics, armed),
             first_s=first_s,
             take_off_s=take_off_s,
             read=lambda vehicle: _rows(topics, values, armed, vehicle),
@@ -78,10 +79,17 @@ def flights(path: Path) -> list[LogFlight]:
 
 def _frame(values: Mapping[str, float]) -> Frame | None:
     count, start = values.get("CA_ROTOR_COUNT"), values.get("SYS_AUTOSTART")
-    if not count and not start:
-        return None
-    text = f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}"
-    return Frame(text, int(count) if count else None)
+    kind = values.get("MAV_TYPE")
+    motors = int(count) if count else _MOTORS.get(-1 if kind is None else int(kind))
+    if count or start:
+        return Frame(f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}", motors)
+    return None if motors is None else Frame(f"{motors} motors by MAV_TYPE {kind:.0f}", motors)
+
+
+def _frame_by_outputs(topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
+    """As many motors as are driven; None: that is not in the log."""
+    motors = px4_outputs.driven_motors(topics, armed)
+    return Frame(f"{motors} motors are driven (actuator_motors)", motors) if motors else None
 
 
 def _switches(topics: Topics) -> NDArray[np.float64] | None:
