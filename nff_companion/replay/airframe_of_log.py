@@ -26,6 +26,7 @@ from nff_companion.replay import log_fit
 from nff_companion.replay.flight import LogFlight
 from nff_companion.replay.flight import Reading as Samples
 from nff_companion.replay.log_fit import Fit, Motion
+from nff_companion.replay.run import checked
 from nff_companion.replay.thinning import thinned
 
 ARM_M = 0.25  # of a typical vehicle with four places for motors; it grows with the root of how many there are
@@ -204,7 +205,7 @@ def _alike(one: Frame, other: Frame) -> bool:
 
 def _motion(flight: LogFlight, vehicle: Vehicle) -> tuple[Samples, Motion | None]:
     """Raises NotJudged."""
-    samples = flight.read(vehicle)
+    samples = checked(flight.read(vehicle))
     samples = replace(samples, rows=thinned(samples.rows))
     return samples, log_fit.motion_of(samples.rows, flight.fit(vehicle), samples.outputs_hz)
 

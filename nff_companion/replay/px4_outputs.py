@@ -68,16 +68,19 @@ def find(topics: Topics, values: Mapping[str, float], vehicle: Vehicle, armed: N
     return max(found, key=lambda commands: round(_rate(commands), 0))
 
 
-def driven_motors(topics: Topics, armed: NDArray[np.float64] | None) -> int:
-    """How many motors ``actuator_motors`` drives, from the first on; 0: not in the log."""
-    table = topics.get((_MOTORS, 0), {})
-    count = 0
-    while f"control[{count}]" in table:
-        control = np.nan_to_num(columns(table, "control[{}]", [count], _MOTORS))
-        if not _driven(Commands(time_of(table), control, "output", _MOTORS), armed):
-            break
-        count += 1
-    return count
+def driven_motors(topics: Topics, armed: NDArray[np.float64] | None) -> tuple[int, str]:
+    """How many channels are driven from the first on, most in any topic of outputs, and in which; 0: none."""
+    found = [(0, "")]
+    for (name, _), table in sorted(topics.items(), key=lambda kv: kv[0]):
+        field = {_MOTORS: "control[{}]", _OUTPUTS: "output[{}]"}.get(name)
+        count = 0
+        while field is not None and field.format(count) in table:
+            values = np.nan_to_num(columns(table, field, [count], name))
+            if not _driven(Commands(time_of(table), values, "", name), armed):
+                break
+            count += 1
+        found.append((count, name))
+    return max(found)
 
 
 def _rate(commands: Commands) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.core.airframe_file import MOTORS_MIN
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
@@ -88,8 +89,8 @@ def _frame(values: Mapping[str, float]) -> Frame | None:
 
 def _frame_by_outputs(topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
     """As many motors as are driven; None: that is not in the log."""
-    motors = px4_outputs.driven_motors(topics, armed)
-    return Frame(f"{motors} motors are driven (actuator_motors)", motors) if motors else None
+    count, name = px4_outputs.driven_motors(topics, armed)
+    return Frame(f"{count} outputs are driven ({name})", count) if count >= MOTORS_MIN else None
 
 
 def _switches(topics: Topics) -> NDArray[np.float64] | None:

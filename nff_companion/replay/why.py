@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,7 @@ def _of_flight(flight: LogFlight, question: Question) -> tuple[dict[str, Any], s
     trace, duration_s = None, 0.0
     try:
         made = _made(flight, question)
-        found = run.checked(made.samples)
+        found = made.samples
     except NotJudged as error:
         judgement = Judgement("not_judged", str(error), 0.0, 0, None, [])
     else:
@@ -114,9 +114,8 @@ def _made(flight: LogFlight, question: Question) -> Made:
     if not question.airframe:
         return made_of(flight, question.frame or None, question.outputs)
     vehicle = vehicle_model.load(question.airframe)
-    found = flight.read(vehicle)
-    rows = thinned(found.rows)
-    return Made(vehicle, [f"airframe {vehicle.name}, as given"], type(found)(rows, found.outputs, found.outputs_hz))
+    found = run.reading(flight, vehicle)
+    return Made(vehicle, [f"airframe {vehicle.name}, as given"], replace(found, rows=thinned(found.rows)))
 
 
 def _airframe(made: Made, question: Question) -> dict[str, Any]:
