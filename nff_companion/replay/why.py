@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -74,16 +77,29 @@ def outputs_of(text: str) -> LogTable:
 
 def answer(path: Path, question: Question) -> Answer:
     """Of one file. Nothing but what is wrong with the question is raised (ConfigError)."""
+    with _uncollected():
+        try:
+            found = run.flights(path)
+        except LogError as error:
+            return Answer(path, error=str(error))
+        documents, pages = [], []
+        for flight in found:
+            said, html = _of_flight(flight, question)
+            documents.append(said)
+            pages += [html] if question.pages else []
+        return Answer(path, documents, pages)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Looking for cycles among the objects of a whole log, of which there are none, costs a fifth of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
     try:
-        found = run.flights(path)
-    except LogError as error:
-        return Answer(path, error=str(error))
-    documents, pages = [], []
-    for flight in found:
-        said, html = _of_flight(flight, question)
-        documents.append(said)
-        pages += [html] if question.pages else []
-    return Answer(path, documents, pages)
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _of_flight(flight: LogFlight, question: Question) -> tuple[dict[str, Any], str]:
