@@ -157,6 +157,14 @@ class TestRecordedFlights:
         for flight in asked.flights:
             assert flight["faults"][0]["confidence"] <= 0.6, "outputs at 10 Hz explain little of how it turns"
 
+    @pytest.mark.parametrize("name", ["20221025_6", "20221026_5", "20221117_5"])
+    def test_motors_that_are_numbered_otherwise_than_the_parameters_say_are_no_evidence(self, name: str) -> None:
+        """SYS_AUTOSTART says quad X; the controller of these flights numbers its motors clockwise."""
+        assert RECORDED is not None
+        asked = Asked(RECORDED / "flights" / f"{name}.ulg", "--outputs", "unknown_logger:tdes[{}]:N")
+        assert asked.code == 2
+        assert asked.motors() == [[]]
+
     def test_where_the_commands_may_be_is_said(self) -> None:
         assert RECORDED is not None
         asked = Asked(RECORDED / "flights" / "20221026_9.ulg")

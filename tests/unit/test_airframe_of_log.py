@@ -50,10 +50,10 @@ def test_hover_inertia_and_lag_are_those_of_the_flight(
 ) -> None:
     true = flying(frame)
     parameters = {"FRAME_CLASS": float(types[0]), "FRAME_TYPE": float(types[1]), **UNFILTERED}
-    made, how = vehicle_of(log_flight(Flight(true).rows(rng), parameters))
+    made, how = vehicle_of(log_flight(Flight(true, seconds=40.0).rows(rng), parameters))
     assert made.hover == pytest.approx(true.hover, rel=0.03)
     mine, theirs = (v.acceleration_effectiveness * v.hover for v in (made, true))
-    assert (np.abs(mine - theirs) <= 0.2 * np.abs(theirs).max(axis=1, keepdims=True)).all()
+    assert (np.abs(mine - theirs) <= 0.1 * np.abs(theirs).max(axis=1, keepdims=True)).all()
     assert made.motor.time_constant_up_s == pytest.approx(0.03)
     assert any(frame in line and "parameters" in line for line in how)
 
