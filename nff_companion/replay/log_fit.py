@@ -62,9 +62,11 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
     samples = [sample for (_, sample), kept in zip(rows, keep, strict=True) if kept]
     time_s = time_s[keep]
     thrust = np.array([s.thrust if s.thrust is not None else vehicle.thrust_fraction(s.output) for s in samples])
-    force_up = -np.array([s.specific_force_m_s2[2] for s in samples])
-    whole = np.array([s.armed for s in samples]) & np.isfinite(thrust).all(axis=1) & np.isfinite(force_up)
-    mean = np.where(whole, np.nan_to_num(thrust).mean(axis=1), 0.0)
+    measured = np.array([np.append(s.gyro_rad_s, -s.specific_force_m_s2[2]) for s in samples])
+    whole = np.array([s.armed for s in samples]) & np.isfinite(np.hstack([thrust, measured])).all(axis=1)
+    thrust, measured = (np.nan_to_num(table, posinf=0.0, neginf=0.0) for table in (thrust, measured))
+    gyro, force_up = measured[:, :3], measured[:, 3]
+    mean = np.where(whole, thrust.mean(axis=1), 0.0)
     step_s = float(np.median(np.diff(time_s)))
     if not (mean > 0.0).any():
         return None
@@ -78,7 +80,6 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
         return None
     rate_hz = min(_GRID_HZ, 1.0 / step_s)
     band = (_BAND_HZ[0], min(_BAND_HZ[1], _NYQUIST_SHARE / step_s, 0.5 * outputs_hz))
-    gyro = np.array([s.gyro_rad_s for s in samples])
     turning, driven = _windows(time_s, gyro, thrust, flying, rate_hz)
     return Motion(
         turning=turning,
@@ -97,7 +98,7 @@ def _take_off(mean: Array, force_up: Array, idle: float, step_s: float) -> int:
     if len(mean) <= smooth_n + rising_n:
         return len(mean)
     box = np.full(smooth_n, 1.0 / smooth_n)
-    thrust, force = (np.convolve(values, box, mode="valid") for values in (mean, np.nan_to_num(force_up)))
+    thrust, force = (np.convolve(values, box, mode="valid") for values in (mean, force_up))
     slow = thrust / np.maximum(force, _CARRIED[0] * GRAVITY_M_S2)
     ahead = np.lib.stride_tricks.sliding_window_view(slow, rising_n).max(axis=1)
     begun = np.flatnonzero((slow[: len(ahead)] >= _RISEN * ahead) & (thrust[: len(ahead)] > idle))
@@ -113,7 +114,7 @@ def _windows(
     nearest = np.clip(np.searchsorted(time_s, grid), 0, len(time_s) - 1)
     good = flying[nearest] & (np.abs(time_s[nearest] - grid) < 2.0 / rate_hz)
     rates = np.stack([np.interp(grid, time_s, column) for column in gyro.T], axis=1)
-    driven = np.stack([np.interp(grid, time_s, column) for column in np.nan_to_num(thrust).T], axis=1)
+    driven = np.stack([np.interp(grid, time_s, column) for column in thrust.T], axis=1)
     turning = np.gradient(rates, 1.0 / rate_hz, axis=0) if len(grid) > 1 else np.zeros_like(rates)
     begins = [k for k in range(0, len(grid) - length + 1, length // 2) if good[k : k + length].all()]
     if not begins:

@@ -13,6 +13,7 @@ from nff_companion.replay.flight import Row
 
 RATE_HZ = 100.0  # as much as is known of a motor within the tenth of a second in which it is named
 _GAP = 2.5  # intervals without a sample: what is on either side is not averaged
+_KEPT_MIN = 0.9  # of the samples: what comes in pairs or bursts is left as it is
 
 
 def thinned(rows: list[Row], rate_hz: float = RATE_HZ) -> list[Row]:
@@ -35,6 +36,8 @@ def thinned(rows: list[Row], rate_hz: float = RATE_HZ) -> list[Row]:
     first = np.concatenate(
         [np.arange(a, b - many + 1, many) for a, b in zip([0, *breaks], [*breaks, len(rows)], strict=True)]
     ).astype(int)
+    if many * len(first) < _KEPT_MIN * len(rows):
+        return rows
     columns: list[Callable[[Sample], Any]] = [
         lambda sample: sample.gyro_rad_s,
         lambda sample: sample.specific_force_m_s2,

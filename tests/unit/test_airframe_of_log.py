@@ -112,3 +112,14 @@ def test_thrusts_in_newtons_say_the_mass(rng: np.random.Generator) -> None:
     made, _ = vehicle_of(flight, "quad-x-clockwise", LogTable("mine", "thrust[{}]", "N"))
     assert made.mass_kg == pytest.approx(true.mass_kg, rel=0.03)
     assert made.hover == pytest.approx(0.4, abs=0.01)
+
+
+def test_samples_that_are_no_numbers_are_left_out(rng: np.random.Generator) -> None:
+    rows = Flight(flying("quad-x"), seconds=40.0).rows(rng)
+    for k in (900, 1300):
+        rows[k][1].gyro_rad_s[:] = np.nan
+        rows[k + 50][1].specific_force_m_s2[:] = np.inf
+        rows[k + 90][1].output[1] = np.nan
+    made, how = vehicle_of(log_flight(rows, {**TYPES, **UNFILTERED}))
+    assert made.hover == pytest.approx(0.3, rel=0.03)
+    assert any("by how the flight answers its outputs: roll, pitch" in line for line in how)

@@ -56,3 +56,10 @@ def test_an_output_that_is_not_known_leaves_its_mean_unknown() -> None:
     assert np.isnan(out[1][1].output[2])
     assert np.isfinite(out[0][1].output).all()
     assert np.isfinite(out[2][1].output).all()
+
+
+def test_samples_that_come_in_pairs_are_not_thrown_away() -> None:
+    paired = rows(np.repeat(np.arange(200) / 400.0, 2))
+    assert thinned(paired) is paired
+    bursts = rows(np.concatenate([k + np.arange(3) / 400.0 for k in range(40)]))
+    assert thinned(bursts) is bursts
