@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import random
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             terminalreporter.write_line(f"{variable} is not set: NO REAL {what} WAS FLOWN (README, Real firmware)")
     if importlib.util.find_spec("torch") is None:
         terminalreporter.write_line("torch is not installed: NO NETWORK WAS TRAINED (make train-test)")
+    if not (shutil.which("chromium") or shutil.which("chromium-browser")):
+        terminalreporter.write_line("chromium is not installed: NO PAGE OF nff why WAS OPENED in a browser")
     if not os.environ.get("NFF_DATA"):
         terminalreporter.write_line(
             "NFF_DATA is not set: the tests on recorded flights DID NOT RUN (README, section Data)", red=True, bold=True

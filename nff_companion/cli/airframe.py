@@ -118,8 +118,8 @@ def _of_file(name: str, arm: float | None) -> tuple[Frame, float, Frame | None]:
     if arm is not None:
         raise ConfigError(f"--arm {arm}: the airframe file {name} has places in m; leave it out")
     loaded = vehicle.load(name)
-    frame = catalogue.Frame(loaded.name, catalogue.scaled(loaded.position_m), loaded.spin)
-    return frame, float(np.hypot(*loaded.position_m.T).max()), comparison.frame_of(loaded)
+    frame = catalogue.Frame(loaded.name, catalogue.scaled(loaded.hub_position_m), loaded.spin)
+    return frame, float(np.hypot(*loaded.hub_position_m.T).max()), comparison.frame_of(loaded)
 
 
 def _write(path: Path, text: str) -> None:

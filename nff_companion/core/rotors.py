@@ -82,9 +82,10 @@ class RotorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rotors:
-    """Arrays of m rotors, read-only. ``place_m`` is from the centre of mass."""
+    """Arrays of m rotors, read-only. ``place_m`` is from the centre of mass, ``hub_m`` from the middle of the frame."""
 
     place_m: NDArray[np.float64]  # (m, 3)
+    hub_m: NDArray[np.float64]  # (m, 3)
     axis: NDArray[np.float64]  # (m, 3) unit vectors
     spin: NDArray[np.float64]  # (m,) sign of the torque on the airframe about -axis: +1 turns ccw seen from above
     max_thrust_n: NDArray[np.float64]  # (m,) along the axis
@@ -140,6 +141,7 @@ class Rotors:
         return replace(
             self,
             place_m=turned(self.place_m),
+            hub_m=turned(self.hub_m),
             axis=turned(self.axis),
             spin=on(self.spin),
             max_thrust_n=on(self.max_thrust_n),
@@ -164,8 +166,10 @@ def rotors_of(
     up_s, down_s = time_constants_s
     axis = np.array([table.axis for table in tables], float)
     accelerations = [table.acceleration for table in tables if table.acceleration is not None]
+    hub_m = np.array([(*table.position_m(), table.z_m) for table in tables])
     return Rotors(
-        place_m=np.array([(*table.position_m(), table.z_m) for table in tables]) - np.array(centre_of_mass_m),
+        place_m=hub_m - np.array(centre_of_mass_m),
+        hub_m=hub_m,
         axis=axis / np.sqrt((axis * axis).sum(axis=1, keepdims=True)),
         spin=np.array([1.0 if table.spin == "ccw" else -1.0 for table in tables]),
         max_thrust_n=max_thrust_n * np.array([table.thrust for table in tables], float),

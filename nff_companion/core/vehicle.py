@@ -68,6 +68,11 @@ class Vehicle:
         return self.rotors.place_m[:, :2]
 
     @property
+    def hub_position_m(self) -> NDArray[np.float64]:
+        """(m, 2) x forward, y right of the middle of the frame, where a firmware's mixer has its centre."""
+        return self.rotors.hub_m[:, :2]
+
+    @property
     def spin(self) -> NDArray[np.float64]:
         """(m,) sign of the torque on the airframe about +z: +1 of a rotor that turns ccw seen from above."""
         return self.rotors.spin

@@ -70,9 +70,9 @@ def _numbers(frame: Frame) -> str:
 
 def _of_motor(vehicle: Vehicle, frame: Frame, motor: int, called: str, same: NDArray[np.bool_], *, far: bool) -> str:
     """What is wrong with one motor (from 0). ``same`` (m, m): the file's motor is as the frame's."""
-    ours, theirs = _described(vehicle.position_m, vehicle.spin, motor), _described(frame.place, frame.spin, motor)
+    ours, theirs = _described(vehicle.hub_position_m, vehicle.spin, motor), _described(frame.place, frame.spin, motor)
     if far and ours == theirs:
-        arms = [_arms(place)[motor] for place in (vehicle.position_m, frame.place)]
+        arms = [_arms(place)[motor] for place in (vehicle.hub_position_m, frame.place)]
         ours, theirs = (f"{ours}, at {arm:.2f} of the longest arm" for arm in arms)
     taken = np.flatnonzero(same[motor])
     whose = f", and its motor {taken[0] + 1} there" if len(taken) else ""
@@ -92,7 +92,7 @@ def _arms(place: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _placed(vehicle: Vehicle, frame: Frame) -> NDArray[np.bool_]:
     """(m, m): motor i of the airframe is at the place of motor k of the frame."""
-    own, place = vehicle.position_m, frame.place
+    own, place = vehicle.hub_position_m, frame.place
     if not frame.ardupilot:
         return _near(own / (np.hypot(*own.T).mean() or 1.0), place / (np.hypot(*place.T).mean() or 1.0))
     rows = [_outermost(axis) for axis in np.abs(place).T]

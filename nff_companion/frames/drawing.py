@@ -64,8 +64,9 @@ def _free_row(written: list[list[bool]], row: int, begin: int, length: int) -> i
     return row
 
 
-def svg(frame: Frame, title: str) -> str:
-    """A picture of the frame with ``title`` above. Coaxial motors touch each other, side by side."""
+def svg(frame: Frame, title: str, failed: tuple[int, ...] = ()) -> str:
+    """A picture of the frame with ``title`` above, the motors ``failed`` (from 1) crossed out. Coaxial motors touch
+    each other, side by side."""
     middle = _SIZE / 2.0
     reach = middle - _RADIUS - _MARGIN
     parts = [
@@ -86,7 +87,9 @@ def svg(frame: Frame, title: str) -> str:
     for site in sites:
         for k, motor in enumerate(site):
             x, y = places[motor]
-            parts += _rotor(frame, motor, x + (2 * k - len(site) + 1) * _RADIUS, y)
+            at = x + (2 * k - len(site) + 1) * _RADIUS
+            parts += _rotor(frame, motor, at, y)
+            parts += [_crossed(motor, at, y)] if motor + 1 in failed else []
     return "\n".join([*parts, "</g>", "</svg>"]) + "\n"
 
 
@@ -101,3 +104,10 @@ def _rotor(frame: Frame, motor: int, x: float, y: float) -> list[str]:
     out.append(f'<text x="{x:.1f}" y="{y + 6:.1f}" font-size="18" fill="{colour}">{motor + 1}</text>')
     out.append(f'<text x="{x:.1f}" y="{y + 20:.1f}" font-size="10" fill="{colour}">{name}</text>')
     return out
+
+
+def _crossed(motor: int, x: float, y: float) -> str:
+    r = 1.15 * _RADIUS
+    lines = f"M {x - r:.1f} {y - r:.1f} L {x + r:.1f} {y + r:.1f} M {x - r:.1f} {y + r:.1f} L {x + r:.1f} {y - r:.1f}"
+    title = f"<title>motor {motor + 1} failed</title>"
+    return f'<path class="failed" d="{lines}" stroke="#d50000" stroke-width="6">{title}</path>'

@@ -20,6 +20,7 @@ _CLASSES = {
     12: ("dodeca-hexa", 12),
     14: ("deca", 10),
 }
+_MOTORS_MAX = 12
 _TYPES = {0: "plus", 1: "X", 2: "V", 3: "H"}
 
 
@@ -27,7 +28,8 @@ def frame_of(values: Mapping[str, float]) -> Frame | None:
     """By FRAME_CLASS, else by the motors that outputs are assigned to; None: parameters do not say."""
     number, kind = values.get("FRAME_CLASS"), values.get("FRAME_TYPE")
     if number is None:
-        return None
+        last = max((motor for motor in range(1, _MOTORS_MAX + 1) if checks.channel_of(values, motor)), default=0)
+        return Frame(f"{last} motors by SERVOn_FUNCTION", last) if last else None
     name, motors = _CLASSES.get(int(number), ("frame", None))
     text = f"{name} {_TYPES.get(-1 if kind is None else int(kind), '')}".strip() + f" (FRAME_CLASS {number:.0f}"
     text += ")" if kind is None else f", FRAME_TYPE {kind:.0f})"

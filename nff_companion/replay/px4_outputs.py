@@ -63,9 +63,24 @@ def find(topics: Topics, values: Mapping[str, float], vehicle: Vehicle, armed: N
     _check_rotors(values, vehicle)
     found = [*_of_motors(topics, values, vehicle.motors, armed), *_of_outputs(topics, values, vehicle, armed)]
     if not found:
-        raise NotJudged(_absence(topics, vehicle.motors))
+        raise NotJudged(_absence(topics, vehicle.motors) + _perhaps(topics, vehicle.motors, armed))
     # The one that comes most often; actuator_motors where they come alike.
     return max(found, key=lambda commands: round(_rate(commands), 0))
+
+
+def driven_motors(topics: Topics, armed: NDArray[np.float64] | None) -> tuple[int, str]:
+    """How many channels are driven from the first on, most in any topic of outputs, and in which; 0: none."""
+    found = [(0, "")]
+    for (name, _), table in sorted(topics.items(), key=lambda kv: kv[0]):
+        field = {_MOTORS: "control[{}]", _OUTPUTS: "output[{}]"}.get(name)
+        count = 0
+        while field is not None and field.format(count) in table:
+            values = np.nan_to_num(columns(table, field, [count], name))
+            if not _driven(Commands(time_of(table), values, "", name), armed):
+                break
+            count += 1
+        found.append((count, name))
+    return max(found)
 
 
 def _rate(commands: Commands) -> float:
@@ -93,6 +108,25 @@ def _absence(topics: Topics, motors: int) -> str:
     if not there:
         return f"the log lacks topics {_MOTORS} and {_OUTPUTS}: log one, or set [log] in the airframe file"
     return f"motor outputs never driven: no instance of {' or '.join(there)} drives {motors} motors while it is armed"
+
+
+def _perhaps(topics: Topics, motors: int, armed: NDArray[np.float64] | None) -> str:
+    """Where the commands of a controller of the user's own may be: as many columns, driven, and never negative."""
+    for (name, instance), table in sorted(topics.items(), key=lambda kv: kv[0]):
+        for column in table:
+            field, counted, rest = column.partition("[0]")
+            if (
+                not counted
+                or rest
+                or instance
+                or f"{field}[{motors}]" in table
+                or f"{field}[{motors - 1}]" not in table
+            ):
+                continue
+            values = np.nan_to_num(columns(table, f"{field}[{{}}]", list(range(motors)), name))
+            if (values >= 0.0).all() and _driven(Commands(time_of(table), values, "", name), armed):
+                return f"; if {name} has them, give --outputs '{name}:{field}[{{}}]:N' (N, output or pwm)"
+    return ""
 
 
 def _check_rotors(values: Mapping[str, float], vehicle: Vehicle) -> None:

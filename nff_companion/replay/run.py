@@ -35,7 +35,11 @@ def flights(path: Path) -> list[LogFlight]:
 
 def reading(flight: LogFlight, vehicle: Vehicle) -> Reading:
     """The samples of a flight for an airframe. Raises NotJudged where they are too few."""
-    found = flight.read(vehicle)
+    return checked(flight.read(vehicle))
+
+
+def checked(found: Reading) -> Reading:
+    """The same. Raises NotJudged where the samples are too few."""
     if len(found.rows) >= 2:
         rate_hz = _rate(sample for _, sample in found.rows)
         if rate_hz < _RATE_MIN_HZ:

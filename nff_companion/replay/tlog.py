@@ -47,6 +47,14 @@ _TAKEN = frozenset({"HIGHRES_IMU", "SERVO_OUTPUT_RAW", "HEARTBEAT", "PARAM_VALUE
 }
 
 
+_TAKEN_NUMBERS = frozenset(getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in _TAKEN)
+
+
+def _number(frame: bytes) -> int:
+    """Message number of a frame."""
+    return frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
+
+
 class Records:
     """Records of one file; ``skipped`` bytes belong to none, once they have been gone through."""
 
@@ -148,6 +156,8 @@ def flights(path: Path) -> list[LogFlight]:
     codec, records, first_s = Codec(255, dialect.MAV_COMP_ID_MISSIONPLANNER), Records(path), None
     for stamp, frame in records:
         first_s = stamp if first_s is None else first_s
+        if _number(frame) not in _TAKEN_NUMBERS:
+            continue  # most of a log, and not worth decoding
         for message in codec.parse_datagram(frame):
             if message.get_srcComponent() == dialect.MAV_COMP_ID_AUTOPILOT1:
                 heard.setdefault(message.get_srcSystem(), _Heard()).take(stamp, message)

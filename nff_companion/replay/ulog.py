@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.core.airframe_file import MOTORS_MIN
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
@@ -32,6 +33,7 @@ _IMU = "sensor_combined"
 _ESCS = 8
 _RPM = 2.0 * np.pi / 60.0
 _FIRST_MOTOR = 101
+_MOTORS = {2: 4, 13: 6, 14: 8}  # by MAV_TYPE
 
 
 def flights(path: Path) -> list[LogFlight]:
@@ -67,7 +69,7 @@ def flights(path: Path) -> list[LogFlight]:
             autopilot="px4",
             system=None,
             parameters=parameters,
-            frame=_frame(values),
+            frame=_frame(values) or _frame_by_outputs(topics, armed),
             first_s=first_s,
             take_off_s=take_off_s,
             read=lambda vehicle: _rows(topics, values, armed, vehicle),
@@ -78,10 +80,17 @@ def flights(path: Path) -> list[LogFlight]:
 
 def _frame(values: Mapping[str, float]) -> Frame | None:
     count, start = values.get("CA_ROTOR_COUNT"), values.get("SYS_AUTOSTART")
-    if not count and not start:
-        return None
-    text = f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}"
-    return Frame(text, int(count) if count else None)
+    kind = values.get("MAV_TYPE")
+    motors = int(count) if count else _MOTORS.get(-1 if kind is None else int(kind))
+    if count or start:
+        return Frame(f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}", motors)
+    return None if motors is None else Frame(f"{motors} motors by MAV_TYPE {kind:.0f}", motors)
+
+
+def _frame_by_outputs(topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
+    """As many motors as are driven; None: that is not in the log."""
+    count, name = px4_outputs.driven_motors(topics, armed)
+    return Frame(f"{count} outputs are driven ({name})", count) if count >= MOTORS_MIN else None
 
 
 def _switches(topics: Topics) -> NDArray[np.float64] | None:

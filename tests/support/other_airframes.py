@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -31,8 +32,10 @@ def altered(
 ) -> Vehicle:
     """``loaded`` with other places (m, 2) or spins (m,)."""
     other = copy.copy(loaded)
-    other.position_m = loaded.position_m if place is None else place
-    other.spin = loaded.spin if spin is None else spin
+    for name in ("effectiveness_si", "acceleration_effectiveness", "effectiveness", "row_scale", "thrust_norm"):
+        other.__dict__.pop(name, None)  # of the other places
+    where = loaded.rotors.place_m if place is None else np.hstack([place, np.zeros((len(place), 1))])
+    other.rotors = replace(loaded.rotors, place_m=where, hub_m=where, spin=loaded.spin if spin is None else spin)
     return other
 
 

@@ -12,6 +12,8 @@ from nff_companion.core import vehicle
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import GRAVITY_M_S2, ROLL, Vehicle
 from nff_companion.replay.judge import Judgement, judge
+from nff_companion.replay.verdict import judgement
+from nff_companion.replay.watch import Fault, Watch
 
 RATE_HZ = 200.0
 QUAD = vehicle.load("h250")
@@ -127,3 +129,53 @@ def test_samples_that_cannot_be_used_hide_no_airframe_that_does_not_fit(
 def test_a_flight_in_which_no_stretch_is_whole_is_not_judged(rng: np.random.Generator) -> None:
     found = flown(QUAD, rng, spoilt_every=40)
     assert (found.verdict, found.faults) == ("not_judged", [])
+
+
+@pytest.mark.parametrize("name", ["hexa-x", "octo-x"])
+def test_one_lost_motor_of_more_is_a_fault_whatever_can_be_done_about_it(name: str, rng: np.random.Generator) -> None:
+    found = flown(vehicle.load(name), rng, lost={4: 0.0}, seconds=9.0)
+    assert [fault.motor for fault in found.faults] == [4]
+    assert found.faults[0].time_s == pytest.approx(8.0, abs=0.2)
+
+
+def test_a_fault_that_is_declared_late_is_no_airframe_that_does_not_fit(rng: np.random.Generator) -> None:
+    """A motor that gives less for two seconds before it is lost: what it did then is the fault, not the model."""
+    watch = Watch()
+    for k in range(round(8.0 * RATE_HZ)):
+        share = 0.0 if k < 6.0 * RATE_HZ else 0.9
+        shown = np.full(4, QUAD.hover)
+        asked = QUAD.acceleration_effectiveness @ (QUAD.hover * (1.0 + 0.02 * rng.standard_normal(4)))
+        residual = -share * QUAD.acceleration_effectiveness[:, 0] * QUAD.hover + 0.1 * rng.standard_normal(4)
+        watch.measured.append(asked)
+        watch.residual.append(residual)
+        watch.shown.append(shown)
+        watch.times.append(k / RATE_HZ)
+    watch.faults.append(Fault(1, 8.0, 0.1, 1.0))
+    watch.judged_s, watch.used_armed = 8.0, round(8.0 * RATE_HZ)
+    found = judgement(watch, QUAD, 0, RATE_HZ, ("RCOU", 10.0))
+    assert (found.verdict, [fault.motor for fault in found.faults]) == ("fault", [1])
+
+
+@pytest.mark.parametrize(("noise", "confidence"), [(0.01, 1.0), (1.7, 0.76), (30.0, 0.5)])
+def test_confidence_goes_with_how_much_the_model_explains(
+    noise: float, confidence: float, rng: np.random.Generator
+) -> None:
+    watch = Watch()
+    for k in range(round(8.0 * RATE_HZ)):
+        motion = np.array([0.1, 1.0, 1.0, 0.1]) * rng.standard_normal(4)
+        left = noise * rng.standard_normal(4)
+        watch.measured.append(motion + left)
+        watch.residual.append(left)
+        watch.shown.append(np.full(4, QUAD.hover))
+        watch.times.append(k / RATE_HZ)
+    watch.faults.append(Fault(1, 8.0, 0.0, 1.0))
+    found = judgement(watch, QUAD, 0, RATE_HZ, ("RCOU", 200.0))
+    assert found.verdict == "fault"
+    assert found.faults[0].confidence == pytest.approx(confidence, abs=0.06)
+
+
+def test_a_declaration_that_nothing_was_checked_against_is_half_believed(rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, lost={2: 0.0}, between_s=(2.6, np.inf), seconds=4.0)
+    assert [fault.motor for fault in found.faults] == [2]
+    assert found.reason.startswith("not checked against healthy flight")
+    assert 0.4 < found.faults[0].confidence <= 0.5

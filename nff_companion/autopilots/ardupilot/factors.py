@@ -21,7 +21,7 @@ _TORQUE = 0.5
 
 def stock(vehicle: Vehicle) -> NDArray[np.float64]:
     """(m, 4): what the firmware's own frame would use."""
-    x, y = vehicle.position_m.T
+    x, y = vehicle.hub_position_m.T
     return np.column_stack(
         [np.ones_like(x), -_TORQUE * y / np.abs(y).max(), _TORQUE * x / np.abs(x).max(), _TORQUE * vehicle.spin]
     )

@@ -1,0 +1,173 @@
+"""What a log itself says of the vehicle: the thrust fraction that carries it, and how it turns by its motors.
+
+Angular acceleration against the torque that the outputs ask for, in windows of the first part of the flight and
+between two frequencies, where wind and trim are not: per axis the gain over the model's, and how much it explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
+from nff_companion.replay.flight import Row
+
+Array = NDArray[np.float64]
+_GRID_HZ = 100.0
+_WINDOW_S, _WINDOWS_MIN = 2.0, 3  # half of each is the next one's too
+_BAND_HZ = (2.0, 15.0)  # below it wind and trim, above it vibration
+_NYQUIST_SHARE = 0.4  # of the rate of the samples
+_RATE_MIN_HZ = 20.0  # of samples and of outputs: with less the band holds nothing but what lies beyond it
+_PART, _PART_LEAST_S, _PART_MOST_S = 0.2, 5.0, 120.0  # of the flight that is looked at, from its beginning
+_LAGS_S = (0.005, 0.015, 0.03, 0.045, 0.065, 0.09, 0.12)
+# It flies where thrust over specific force, smoothed, has come near to what it is in the next seconds, and more is
+# asked for than idling: a share of what is usual among what is no small part of the largest.
+_RISEN, _RISING_S, _SMOOTH_S, _IDLE = 0.9, 1.5, 0.7, 0.35
+_LARGEST, _SMALL = 90.0, 0.3  # per cent of the samples in which anything is asked for; share
+_CARRIED = (0.3, 3.0)  # specific force over g of a vehicle that is carried by its motors
+_LEAST_FLYING_S = 2.5
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The first part of the flight on a regular grid of ``rate_hz``: windows (W, L) of it."""
+
+    turning: Array  # (W, L, 3) angular acceleration, rad/s^2
+    thrust: Array  # (W, L, m) fractions asked for
+    rate_hz: float
+    band_hz: tuple[float, float]
+    hover: float  # thrust fraction
+    peak: float  # largest thrust fraction of any motor in flight
+    fast: bool  # samples and outputs come often enough to see how it turns
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Of roll, pitch and yaw, (3,): ``gain`` over the model's, ``explained`` share of the power in the band with it,
+    0 where the gain is negative; ``lag_s`` the motors' lag that explains most."""
+
+    gain: Array
+    explained: Array
+    lag_s: float
+
+
+def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | None:
+    """None: too little of the flight is whole."""
+    if len(rows) < 2:
+        return None
+    time_s = np.array([sample.time_s for _, sample in rows])
+    keep = np.concatenate([[True], np.diff(np.maximum.accumulate(time_s)) > 0.0])
+    samples = [sample for (_, sample), kept in zip(rows, keep, strict=True) if kept]
+    time_s = time_s[keep]
+    thrust = np.array([s.thrust if s.thrust is not None else vehicle.thrust_fraction(s.output) for s in samples])
+    measured = np.array([np.append(s.gyro_rad_s, -s.specific_force_m_s2[2]) for s in samples])
+    whole = np.array([s.armed for s in samples]) & np.isfinite(np.hstack([thrust, measured])).all(axis=1)
+    thrust, measured = (np.nan_to_num(table, posinf=0.0, neginf=0.0) for table in (thrust, measured))
+    gyro, force_up = measured[:, :3], measured[:, 3]
+    mean = np.where(whole, thrust.mean(axis=1), 0.0)
+    step_s = float(np.median(np.diff(time_s)))
+    if not (mean > 0.0).any():
+        return None
+    idle = _IDLE * float(np.median(mean[mean > _SMALL * np.percentile(mean[mean > 0.0], _LARGEST)]))
+    flying = whole & (mean > idle)
+    flying[: _take_off(mean, force_up, idle, step_s)] = False
+    flown_s = np.cumsum(flying) * step_s
+    flying &= flown_s <= min(max(_PART * float(flown_s[-1]), _PART_LEAST_S), _PART_MOST_S)
+    carried = flying & (force_up > _CARRIED[0] * GRAVITY_M_S2) & (force_up < _CARRIED[1] * GRAVITY_M_S2)
+    if carried.sum() * step_s < _LEAST_FLYING_S:
+        return None
+    rate_hz = min(_GRID_HZ, 1.0 / step_s)
+    band = (_BAND_HZ[0], min(_BAND_HZ[1], _NYQUIST_SHARE / step_s, 0.5 * outputs_hz))
+    turning, driven = _windows(time_s, gyro, thrust, flying, rate_hz)
+    return Motion(
+        turning=turning,
+        thrust=driven,
+        rate_hz=rate_hz,
+        band_hz=band,
+        hover=GRAVITY_M_S2 * float(np.median(mean[carried] / force_up[carried])),
+        peak=float(np.percentile(thrust[flying].max(axis=1), 99.5)),
+        fast=bool(min(outputs_hz, 1.0 / step_s) >= _RATE_MIN_HZ),
+    )
+
+
+def _take_off(mean: Array, force_up: Array, idle: float, step_s: float) -> int:
+    """Index from which on the vehicle is carried, by its mean thrust (N,) and its specific force (N,); N: never."""
+    smooth_n, rising_n = max(round(_SMOOTH_S / step_s), 1), max(round(_RISING_S / step_s), 1)
+    if len(mean) <= smooth_n + rising_n:
+        return len(mean)
+    box = np.full(smooth_n, 1.0 / smooth_n)
+    thrust, force = (np.convolve(values, box, mode="valid") for values in (mean, force_up))
+    slow = thrust / np.maximum(force, _CARRIED[0] * GRAVITY_M_S2)
+    ahead = np.lib.stride_tricks.sliding_window_view(slow, rising_n).max(axis=1)
+    begun = np.flatnonzero((slow[: len(ahead)] >= _RISEN * ahead) & (thrust[: len(ahead)] > idle))
+    return int(begun[0]) if len(begun) else len(mean)
+
+
+def _windows(
+    time_s: Array, gyro: Array, thrust: Array, flying: NDArray[np.bool_], rate_hz: float
+) -> tuple[Array, Array]:
+    """Windows (W, L, 3), (W, L, m) that are flown throughout and have no gap."""
+    grid = np.arange(time_s[0], time_s[-1], 1.0 / rate_hz)
+    length = round(_WINDOW_S * rate_hz)
+    nearest = np.clip(np.searchsorted(time_s, grid), 0, len(time_s) - 1)
+    good = flying[nearest] & (np.abs(time_s[nearest] - grid) < 2.0 / rate_hz)
+    rates = np.stack([np.interp(grid, time_s, column) for column in gyro.T], axis=1)
+    driven = np.stack([np.interp(grid, time_s, column) for column in thrust.T], axis=1)
+    turning = np.gradient(rates, 1.0 / rate_hz, axis=0) if len(grid) > 1 else np.zeros_like(rates)
+    begins = [k for k in range(0, len(grid) - length + 1, length // 2) if good[k : k + length].all()]
+    if not begins:
+        return np.zeros((0, length, 3)), np.zeros((0, length, thrust.shape[1]))
+    return np.stack([turning[k : k + length] for k in begins]), np.stack([driven[k : k + length] for k in begins])
+
+
+def fit(vehicle: Vehicle, motion: Motion) -> Fit:
+    """Of the rows of ``vehicle``'s effectiveness, with the lag in common."""
+    count, length = motion.turning.shape[:2]
+    lag_s = vehicle.motor.time_constant_up_s
+    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / motion.rate_hz), np.float64)
+    inside = (frequency >= motion.band_hz[0]) & (frequency <= motion.band_hz[1])
+    if count < _WINDOWS_MIN or not inside.any() or not motion.fast:
+        return Fit(np.ones(3), np.zeros(3), lag_s)
+    taper = np.hanning(length)[None, :, None]
+    measured = np.fft.rfft(taper * (motion.turning - motion.turning.mean(axis=1, keepdims=True)), axis=1)[:, inside]
+    torque = motion.thrust @ vehicle.acceleration_effectiveness[1:].T
+    asked = np.fft.rfft(taper * (torque - torque.mean(axis=1, keepdims=True)), axis=1)[:, inside]
+    asked = asked * _low_pass(frequency[inside], vehicle.telemetry.gyro_filter_hz)[None, :, None]
+    best: Fit | None = None
+    for lag in _LAGS_S:
+        shown = asked / (1.0 + 2j * np.pi * frequency[inside] * lag)[None, :, None]
+        found = _gains(measured, shown, lag)
+        if best is None or found.explained[:2].sum() > best.explained[:2].sum():
+            best = found
+    assert best is not None
+    return best
+
+
+def _gains(measured: NDArray[np.complex128], shown: NDArray[np.complex128], lag_s: float) -> Fit:
+    """Weighted medians over windows: a window in which something else turned the vehicle does not count."""
+    across = (shown.conj() * measured).real.sum(axis=1)  # (W, 3)
+    power = (np.abs(shown) ** 2).sum(axis=1)
+    gain = np.array([_median(a / np.maximum(p, 1e-12), p) for a, p in zip(across.T, power.T, strict=True)])
+    gain = np.maximum(gain, 0.0)
+    left = (np.abs(measured - gain * shown) ** 2).sum(axis=1)
+    total = (np.abs(measured) ** 2).sum(axis=1)
+    explained = np.array(
+        [_median(1.0 - le / np.maximum(to, 1e-12), to) for le, to in zip(left.T, total.T, strict=True)]
+    )
+    return Fit(gain, np.maximum(explained, 0.0), lag_s)
+
+
+def _median(values: Array, weights: Array) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][min(int(np.searchsorted(total, 0.5 * total[-1])), len(values) - 1)])
+
+
+def _low_pass(frequency_hz: Array, cutoff_hz: float) -> NDArray[np.complex128]:
+    """Of second order, as the autopilots' own (Butterworth); 0: none."""
+    if cutoff_hz <= 0.0:
+        return np.ones(len(frequency_hz), complex)
+    s = 1j * frequency_hz / cutoff_hz
+    return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * s + s * s))

@@ -1,0 +1,1 @@
+"""One flight as a page that stands alone: no network, no script."""
