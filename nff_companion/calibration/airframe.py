@@ -43,7 +43,7 @@ class _Physical:
 
 
 def numbers(vehicle: Vehicle, fit: Fit) -> list[Number]:
-    """What of the file of ``vehicle`` was found, and how well."""
+    """What of the file of ``vehicle`` was found, and how well. Raises ConfigError."""
     if vehicle.rotors.acceleration is not None:
         raise ConfigError(
             f"airframe {vehicle.name} gives accelerations of its rotors: begin with one that has places and thrusts"
@@ -92,14 +92,12 @@ def _physical(vehicle: Vehicle, fit: Fit, x: NDArray[np.float64]) -> _Physical:
         max_thrust_n=mean_n / hover,
         inertia_kg_m2=np.array([jx, jy, jz]),
         torque_per_thrust_m=drag,
-        centre_m=np.array(vehicle.centre_of_mass_m[:2]) + arm * x[model.centre_of(layout)],
+        centre_m=(vehicle.hub_position_m - vehicle.position_m).mean(axis=0) + arm * x[model.centre_of(layout)],
         thrust=factors / factors.mean(),
     )
 
 
-def _deviation(
-    vehicle: Vehicle, fit: Fit, pick: Callable[[_Physical], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _deviation(vehicle: Vehicle, fit: Fit, pick: Callable[[_Physical], NDArray[np.float64]]) -> NDArray[np.float64]:
     """Of numbers that follow from the parameters, to first order."""
     here = pick(_physical(vehicle, fit, fit.x))
     free = np.flatnonzero(fit.prior > 0.0)
@@ -117,17 +115,17 @@ def written(text: str, found: list[Number], name: str, source: str) -> str:
     """The airframe file ``text`` with these numbers, called ``name``; the rest of it stays as it was."""
     document = tomlkit.parse(text)
     table = document["airframe"]
-    table["name"], table["source"] = name, source  # type: ignore[index]
-    table.pop("network", None)  # type: ignore[union-attr]  # trained with other numbers
+    table["name"], table["source"] = name, source
+    table.pop("network", None)  # trained with other numbers
     for number in found:
         place, key = number.key.split(".")
         note = f"calibrated, +-{number.deviation:.2g} {number.unit}".rstrip()
         if place == "rotor":
             assert isinstance(number.value, list)
-            for rotor, value in zip(document["rotor"], number.value, strict=True):  # type: ignore[arg-type]
+            for rotor, value in zip(document["rotor"], number.value, strict=True):
                 rotor[key] = _item(value, note)
             continue
-        document[place][key] = _item(number.value, note)  # type: ignore[index]
+        document[place][key] = _item(number.value, note)
     return tomlkit.dumps(document)
 
 

@@ -44,6 +44,6 @@ def verdicts(fit: Fit) -> list[Verdict]:
         Verdict("motor lag", lag_ms * d[model.LAG], 10.0, "ms", _ROLL),
         Verdict("delay of the outputs", 1e3 * d[model.DELAY], 5.0, "ms", _ROLL),
         Verdict("thrust curve", d[model.EXPO], 0.15, "", _CLIMB),
-        Verdict("centre of mass, forwards", 100.0 * centre[0], 1.5, "% of the arm", _LONGER),
-        Verdict("centre of mass, to the right", 100.0 * centre[1], 1.5, "% of the arm", _LONGER),
+        Verdict("centre of mass, forwards", 100.0 * centre[0], 2.5, "% of the arm", _LONGER),
+        Verdict("centre of mass, to the right", 100.0 * centre[1], 2.5, "% of the arm", _LONGER),
     ]

@@ -10,14 +10,18 @@ from scipy.optimize import least_squares
 
 from nff_companion.calibration import chain, model, noise
 from nff_companion.calibration.model import Layout, Prior
-from nff_companion.calibration.record import Record
+from nff_companion.calibration.record import Piece, Record
 
 ROUNDS = 4  # of noise and numbers in turn
 _MEMORY_S = 0.1  # of the noise's model
 _SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
 _LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific force that was measured
 _THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
-_UNKNOWN = ((model.ROLL, model.ROLL), (model.PITCH, model.PITCH), (model.YAW, model.YAW))
+_TURNING = (model.ROLL, model.PITCH, model.YAW)
+# What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
+# `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
+_LEFT_OUT_SHAPE = (0.0012, 0.03, 0.03, 0.03, 0.008)
+_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,9 @@ class Problem:
         self._mean = np.array(float(np.mean(np.concatenate([piece.output.mean(axis=1) for piece in record.pieces]))))
         self._skip = [round(_SETTLE_S / piece.dt_s) for piece in record.pieces]
         self._air = [_air(values[skip:]) for values, skip in zip(self._measured, self._skip, strict=True)]
-        self._lift = [_slow(values[:, :1], piece.dt_s) for values, piece in zip(self._measured, self._pieces, strict=True)]
+        self._lift = [
+            _slow(values[:, :1], piece.dt_s) for values, piece in zip(self._measured, self._pieces, strict=True)
+        ]
         self.lift_m_s2 = float(np.mean(np.concatenate(self._lift)))
         self._whitening, self._scale = [np.ones(1)] * model.AXES, np.ones(model.AXES)
         self._at: NDArray[np.float64] | None = None
@@ -78,7 +84,7 @@ class Problem:
         x[model.gains_of(self._layout)] = gains
         left, _ = self._axes(x)
         asked = [m[s:, : model.AXES] - rest for m, s, rest in zip(self._measured, self._skip, left, strict=True)]
-        for axis, _ in _UNKNOWN:
+        for axis in _TURNING:
             found = sum(float(_band(m[s:, axis], p.dt_s).std()) * p.samples for m, s, p in self._each())
             wanted = sum(
                 float(_band(a[:, axis], p.dt_s).std()) * p.samples for a, p in zip(asked, self._pieces, strict=True)
@@ -119,7 +125,13 @@ class Problem:
         x[self.free] = free
         return x
 
-    def _each(self) -> list[tuple[NDArray[np.float64], int, chain.Piece]]:
+    def course(self, x: NDArray[np.float64]) -> Course:
+        """Of the first piece."""
+        left, measured = self._axes(x)[0][0], self._measured[0][self._skip[0] :, : model.AXES]
+        time_s = self._pieces[0].dt_s * np.arange(len(left), dtype=np.float64)
+        return Course(np.asarray(time_s, np.float64), measured, measured - left)
+
+    def _each(self) -> list[tuple[NDArray[np.float64], int, Piece]]:
         return list(zip(self._measured, self._skip, self._pieces, strict=True))
 
     def _both(self, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -152,7 +164,7 @@ class Problem:
         left, slopes = [], []
         for (values, skip, piece), lift in zip(self._each(), self._lift, strict=True):
             thrust = chain.shown(piece, shapes, self._filters) / at_mean[:, None, None]
-            # Battery, height and speed change what a rotor gives at the same output: the accelerometer says by how much.
+            # Battery, height and speed change what a rotor gives at the same output: the accelerometer says how much.
             total = _slow(thrust.mean(axis=2).T, piece.dt_s).T
             thrust = thrust * (lift[:, 0] / self.lift_m_s2 / np.maximum(total, 1e-3))[:, :, None]
             value, derivative = model.foretold(x, self._layout, thrust[:, skip:], self._shape_free)
@@ -183,6 +195,23 @@ def _air(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Of the longest piece: ``time_s`` (N,), accelerations (N, AXES) as measured and as foretold."""
+
+    time_s: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    foretold: NDArray[np.float64]
+
+
+def course(
+    record: Record, layout: Layout, filters: chain.Filters, inertia: tuple[float, float, float], x: NDArray[np.float64]
+) -> Course:
+    """What the parameters ``x`` say of a record."""
+    longest = Record([max(record.pieces, key=lambda piece: piece.samples)])
+    return Problem(longest, layout, filters, inertia, x, np.zeros(layout.parameters)).course(x)
+
+
 def fit(
     record: Record,
     layout: Layout,
@@ -194,11 +223,9 @@ def fit(
 ) -> Fit:
     """From the parameters ``start`` (whose gains are taken from the record), believed as ``prior`` says."""
     deviations = prior.deviations(layout.motors)
+    start = Problem(record, layout, filters, inertia, start, deviations).suggested(start)
     problem = Problem(record, layout, filters, inertia, start, deviations)
-    problem = Problem(record, layout, filters, inertia, problem.suggested(start), deviations)
-    free = problem.free
-    x, explained = problem.whole(start[free]), np.zeros(model.AXES)
-    x[model.gains_of(layout)] = problem.suggested(start)[model.gains_of(layout)]
+    free, x, explained = problem.free, start, np.zeros(model.AXES)
     for _ in range(rounds):
         explained = problem.colour(x)
         scale = deviations[free]
@@ -207,4 +234,15 @@ def fit(
     jacobian = problem.jacobian(x[free])
     covariance = np.zeros((len(x), len(x)))
     covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
+    covariance += np.diag(_left_out(layout) * (deviations > 0.0))
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)
+
+
+def _left_out(layout: Layout) -> NDArray[np.float64]:
+    """Variances (parameters,) that noise knows nothing of."""
+    out = np.zeros(layout.parameters)
+    out[: model.SHAPE] = _LEFT_OUT_SHAPE
+    out[model.gains_of(layout)] = _LEFT_OUT_GAIN
+    out[model.motors_of(layout)] = _LEFT_OUT_MOTOR
+    out[model.centre_of(layout)] = _LEFT_OUT_CENTRE
+    return out**2

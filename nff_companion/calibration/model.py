@@ -122,7 +122,7 @@ def unit_rows(layout: Layout, x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def gains_of(layout: Layout) -> slice:
-    """Where in the vector the logarithms of the gains are: m/s^2 of all motors, rad/s^2 of one at the farthest place."""
+    """Where the logarithms of the gains are: m/s^2 of all motors, rad/s^2 of one at the farthest place."""
     return slice(SHAPE, _MOTORS)
 
 

@@ -2,8 +2,8 @@
 
 A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle flies well:
 each motor's thrust follows the measured accelerations with just the shares that the autopilot gives it. From them
-every motor's place and spin is read, as the autopilot believes it to be; which order of the file's motors gives the same
-is a question of assignment.
+every motor's place and spin is read, as the autopilot believes it to be; then every order of the file's motors is
+compared with it.
 """
 
 from __future__ import annotations

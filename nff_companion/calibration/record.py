@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from nff_companion.core.sample import Sample
 
 _GAP_PERIODS = 3.5  # longer, and a new piece begins
 _PIECE_MIN_S = 3.0
-_QUIET = 1e-3  # of outputs: below, nothing is driven
+_ENDS_S = 1.0  # of each piece left out: take-off, landing, what came after a gap
+_FLYING = 0.6  # of the usual output
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,20 +46,25 @@ class Record:
 
 
 def record(samples: Sequence[Sample], rate_hz: float | None = None) -> Record:
-    """Pieces of the flying part, at the rate of the samples or at ``rate_hz``."""
-    flown = [s for s in samples if s.armed and s.landed is not True and np.isfinite(s.output).all()]
-    flown = [s for s in flown if float(s.output.max()) > _QUIET]
-    if len(flown) < 2:
+    """Pieces of the flying part, without take-off and landing, at the rate of the samples or at ``rate_hz``."""
+    known = [s for s in samples if s.armed and s.landed is not True and np.isfinite(s.output).all()]
+    if len(known) < 2:
         return Record([])
+    mean = np.array([float(s.output.mean()) for s in known])
+    flying = mean > _FLYING * float(np.median(mean[mean > _FLYING * mean.max()]))
+    flown = [s for s, flies in zip(known, flying, strict=True) if flies]
     time_s = np.array([s.time_s for s in flown])
     gaps = np.diff(time_s)
-    period = float(np.median(gaps[gaps > 0.0])) if (gaps > 0.0).any() else np.inf
+    if not (gaps > 0.0).any():
+        return Record([])
+    period = float(np.median(gaps[gaps > 0.0]))
     dt_s = 1.0 / rate_hz if rate_hz else period
     ends = [0, *(np.flatnonzero((gaps > _GAP_PERIODS * period) | (gaps <= 0.0)) + 1), len(flown)]
     pieces = []
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
-        if last - first > 2 and time_s[last - 1] - time_s[first] >= _PIECE_MIN_S:
-            pieces.append(_piece(flown[first:last], time_s[first:last], dt_s))
+    for first, last in pairwise(ends):
+        begin, end = np.searchsorted(time_s[first:last], (time_s[first] + _ENDS_S, time_s[last - 1] - _ENDS_S)) + first
+        if end - begin > 2 and time_s[end - 1] - time_s[begin] >= _PIECE_MIN_S:
+            pieces.append(_piece(flown[begin:end], time_s[begin:end], dt_s))
     return Record(pieces)
 
 

@@ -14,17 +14,17 @@ def text(nominal: Path, parameters: PlantParameters, vehicle: int) -> str:
     document = tomlkit.parse(nominal.read_text(encoding="utf-8"))
     frame, motor, command = document["airframe"], document["motor"], document["command"]
     thrust_n = parameters.max_thrust_n[vehicle]
-    frame["mass_kg"] = float(parameters.mass_kg[vehicle])  # type: ignore[index]
-    frame["inertia_kg_m2"] = parameters.inertia_kg_m2[vehicle].tolist()  # type: ignore[index]
-    motor["max_thrust_n"] = float(thrust_n.mean())  # type: ignore[index]
-    motor["time_constant_up_s"] = float(parameters.time_constant_up_s[vehicle].mean())  # type: ignore[index]
-    motor["time_constant_down_s"] = float(parameters.time_constant_down_s[vehicle].mean())  # type: ignore[index]
-    motor["torque_per_thrust_m"] = float(parameters.torque_per_thrust_m[vehicle].mean())  # type: ignore[index]
-    command["thrust_expo"] = float(parameters.thrust_expo[vehicle])  # type: ignore[index]
-    command["spin_min"] = float(parameters.spin_min[vehicle])  # type: ignore[index]
-    document["telemetry"]["output_delay_s"] = float(parameters.output_delay_s[vehicle])  # type: ignore[index]
+    frame["mass_kg"] = float(parameters.mass_kg[vehicle])
+    frame["inertia_kg_m2"] = parameters.inertia_kg_m2[vehicle].tolist()
+    motor["max_thrust_n"] = float(thrust_n.mean())
+    motor["time_constant_up_s"] = float(parameters.time_constant_up_s[vehicle].mean())
+    motor["time_constant_down_s"] = float(parameters.time_constant_down_s[vehicle].mean())
+    motor["torque_per_thrust_m"] = float(parameters.torque_per_thrust_m[vehicle].mean())
+    command["thrust_expo"] = float(parameters.thrust_expo[vehicle])
+    command["spin_min"] = float(parameters.spin_min[vehicle])
+    document["telemetry"]["output_delay_s"] = float(parameters.output_delay_s[vehicle])
     place = parameters.position_m if parameters.position_m.ndim == 2 else parameters.position_m[vehicle]
-    for rotor, (x, y), n in zip(document["rotor"], place.tolist(), thrust_n.tolist(), strict=True):  # type: ignore[arg-type]
+    for rotor, (x, y), n in zip(document["rotor"], place.tolist(), thrust_n.tolist(), strict=True):
         for key in ("angle_deg", "arm_m"):
             rotor.pop(key, None)
         rotor["x_m"], rotor["y_m"], rotor["thrust"] = x, y, n / float(thrust_n.mean())
