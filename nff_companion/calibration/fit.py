@@ -151,7 +151,7 @@ class Problem:
             ]
             white = np.concatenate([noise.whitened(c, self._whitening[axis]) for c in columns]) / self._scale[axis]
             air = self._air[0][axis].shape[1]
-            triangle = np.linalg.qr(white, mode="r")[air:, air:]
+            triangle = np.asarray(np.linalg.qr(white, mode="r"))[air:, air:]
             rows.append(triangle[:, -1])
             jacobian.append(-triangle[:, :-1])
         off, prior = (x - self._start)[self.free], self._prior[self.free]
