@@ -16,6 +16,7 @@ ROUNDS = 4  # of noise and numbers in turn
 _MEMORY_S = 0.1  # of the noise's model
 _SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
 _LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific force that was measured
+_LEAST_NOISE = 0.01  # m/s^2 and rad/s^2: no sensor is as good
 _THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
 _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
@@ -104,8 +105,8 @@ class Problem:
             filter_ = noise.autoregression(parts, order)
             rest = np.concatenate([noise.whitened(part, filter_) for part in parts])
             was = np.concatenate([noise.whitened(m[s:, axis], filter_) for m, s, _ in self._each()])
-            explained[axis] = 1.0 - rest.var() / max(float(was.var()), 1e-30)
-            scale[axis] = max(float(np.sqrt(np.mean(rest * rest))), 1e-9)
+            explained[axis] = max(1.0 - rest.var() / max(float(was.var()), 1e-30), 0.0)
+            scale[axis] = max(float(np.sqrt(np.mean(rest * rest))), _LEAST_NOISE)
             whitening.append(filter_)
         scale[model.THRUST] *= _THRUST_DOUBT
         self._whitening, self._scale, self._at = whitening, scale, None

@@ -32,6 +32,13 @@ class Piece:
         """N."""
         return len(self.gyro_rad_s)
 
+    def first(self, seconds: float) -> Piece:
+        """Its beginning."""
+        n = max(round(seconds / self.dt_s), 1)
+        return Piece(
+            self.dt_s, self.gyro_rad_s[:n], self.specific_force_m_s2[:n], self.output[:n], self.velocity_m_s[:n]
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Record:
