@@ -8,6 +8,8 @@ import random
 import shutil
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it, before numpy looks
+
 import numpy as np
 import pytest
 

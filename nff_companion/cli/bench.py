@@ -84,3 +84,24 @@ def ardupilot(
         return
     for row in document["rates"]:
         console.print(", ".join(f"{key} {value}" for key, value in row.items()), highlight=False, soft_wrap=True)
+
+
+@app.command("calibration")
+def calibration(
+    airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
+    vehicles: Annotated[int, typer.Option(help="Each with numbers of its own.", min=1)] = 50,
+    seconds: Annotated[float, typer.Option(help="Of ordinary flight.")] = 180.0,
+    identify: Annotated[bool, typer.Option("--identify", help="Fail each motor with each file.")] = False,
+    json: Json = False,
+) -> None:
+    """Calibrate simulated vehicles that are off from their airframe file, and compare with the truth."""
+    from sitl.trials.calibration import CalibrationOptions, measure
+
+    document = measure(CalibrationOptions(airframe=airframe, vehicles=vehicles, seconds=seconds, identify=identify))
+    if json:
+        print_json(document)
+        return
+    for vehicle in document["vehicles"]:
+        console.print(", ".join(f"{k} {v}" for k, v in vehicle.items() if k != "failures"), highlight=False)
+    for key, value in document["summary"].items():
+        console.print(f"{key}: {value}", highlight=False)

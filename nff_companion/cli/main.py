@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import typer
 
-from nff_companion.cli import airframe, bench, compare, flight, fly, learn, operate, trials, why
+from nff_companion.cli import airframe, bench, calibrate, compare, flight, fly, learn, operate, trials, why
 from nff_companion.cli.output import say_error
 from nff_companion.errors import NffError
 
@@ -31,6 +31,7 @@ app.command("demo")(flight.demo)
 app.command("survey")(trials.survey)
 app.command("replay")(trials.replay)
 app.command("why")(why.why)
+app.command("calibrate")(calibrate.calibrate)
 app.command("compare")(compare.compare)
 app.command("train")(learn.train)
 app.command("score")(learn.score_command)

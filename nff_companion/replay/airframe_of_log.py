@@ -76,6 +76,18 @@ def made_of(flight: LogFlight, frame_name: str | None = None, outputs: LogTable 
     return _finished(flight, draft, samples, motion, [how])
 
 
+def draft_text(flight: LogFlight, frame_name: str | None, size: Size) -> str:
+    """An airframe file of the log's parameters and frame, and guesses for the rest; ``frame_name`` as for
+    ``vehicle_of``. Raises NotJudged, ConfigError."""
+    values = _values(flight)
+    named = catalogue.by_name(frame_name) if frame_name else None
+    if named is None and not _says_frame(flight, values):
+        named = catalogue.by_name(_tried(flight, values, None).vehicle.name)
+    reading = _reading(flight, values, named)
+    name = "frame of the log" if reading.frame is None else reading.frame.name
+    return frame_draft.draft(reading, size, name, f"parameters in {flight.path.name}").text
+
+
 def frame_of(vehicle: Vehicle) -> Frame:
     """For drawings."""
     return Frame(vehicle.name, catalogue.scaled(vehicle.hub_position_m), vehicle.spin)

@@ -30,7 +30,7 @@ IMPURE = {
 FLOORS = (
     {"errors"},
     {"core", "mavlink"},
-    {"condition", "frames"},
+    {"condition", "frames", "calibration"},
     {"allocation"},
     {"control"},
     {"admission", "companion_state"},

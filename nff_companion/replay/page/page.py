@@ -16,7 +16,7 @@ from nff_companion.replay.page.plot import Curve, plot
 from nff_companion.replay.trace import Course
 
 _AROUND_S = (4.0, 4.0)  # of the first declaration
-_UNITS = {"thrust": "m/s²", "roll": "rad/s²", "pitch": "rad/s²", "yaw": "rad/s²"}
+UNITS = {"thrust": "m/s²", "roll": "rad/s²", "pitch": "rad/s²", "yaw": "rad/s²"}
 _COLOURS = ("#1565c0", "#2e7d32", "#6a1b9a", "#ef6c00", "#00838f", "#ad1457", "#5d4037", "#37474f") * 2
 _FAILED = "#d50000"
 _NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'  # a file needs it, a page does not: nothing in it names a network
@@ -49,6 +49,11 @@ def page(said: dict[str, Any], vehicle: Vehicle | None, course: Course | None) -
     if vehicle is not None and course is not None and len(course.time_s) > 1:
         body += [_evidence(said, vehicle, course), _effectiveness(said, course)]
     body.append(_made(said))
+    return whole_page(title, body)
+
+
+def whole_page(title: str, body: list[str]) -> str:
+    """HTML that needs nothing else."""
     head = (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n"
@@ -155,7 +160,7 @@ def _evidence(said: dict[str, Any], vehicle: Vehicle, course: Course) -> str:
             curves.append(
                 Curve(f"what the loss of {_motors(_failed(said))} explains", explained[inside, axis], _FAILED, 2)
             )
-        parts.append(plot(f"{name}, {_UNITS[name]}", course.time_s[inside], curves, marks))
+        parts.append(plot(f"{name}, {UNITS[name]}", course.time_s[inside], curves, marks))
     said_of = (
         "Where the red curve follows the grey one after the failure, and only then, the named loss is the explanation."
         if faults

@@ -1,0 +1,1 @@
+"""A vehicle's numbers from its own healthy flight."""

@@ -1,0 +1,249 @@
+"""Maximum likelihood of a vehicle's numbers, given what was believed before; scipy's least squares do the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from nff_companion.calibration import chain, model, noise
+from nff_companion.calibration.model import Layout, Prior
+from nff_companion.calibration.record import Piece, Record
+
+ROUNDS = 4  # of noise and numbers in turn
+_MEMORY_S = 0.1  # of the noise's model
+_SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
+_LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific force that was measured
+_LEAST_NOISE = 0.01  # m/s^2 and rad/s^2: no sensor is as good
+_THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
+_TURNING = (model.ROLL, model.PITCH, model.YAW)
+# What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
+# `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
+_LEFT_OUT_SHAPE = (0.0012, 0.03, 0.03, 0.03, 0.008)
+_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """``x`` and ``covariance`` of the parameters (model.py), ``prior`` their deviations before; ``mean_output`` of all
+    motors over the record; ``explained`` (AXES,): share of what noise of the same colour would not do
+    that the outputs foretell."""
+
+    x: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    layout: Layout
+    mean_output: float
+    explained: NDArray[np.float64]
+
+    @property
+    def deviation(self) -> NDArray[np.float64]:
+        """(parameters,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class Problem:
+    """A record, and what a vector of parameters leaves of it."""
+
+    def __init__(
+        self,
+        record: Record,
+        layout: Layout,
+        filters: chain.Filters,
+        inertia: tuple[float, float, float],
+        start: NDArray[np.float64],
+        prior: NDArray[np.float64],
+    ) -> None:
+        self._layout, self._filters, self._start, self._prior = layout, filters, start, prior
+        self.free = np.flatnonzero(prior > 0.0)
+        self._shape_free = self.free[self.free < model.SHAPE]
+        self._pieces = record.pieces
+        self._measured = [chain.measured(piece, filters, inertia) for piece in record.pieces]
+        self._mean = np.array(float(np.mean(np.concatenate([piece.output.mean(axis=1) for piece in record.pieces]))))
+        self._skip = [round(_SETTLE_S / piece.dt_s) for piece in record.pieces]
+        self._air = [_air(values[skip:]) for values, skip in zip(self._measured, self._skip, strict=True)]
+        self._lift = [
+            _slow(values[:, :1], piece.dt_s) for values, piece in zip(self._measured, self._pieces, strict=True)
+        ]
+        self.lift_m_s2 = float(np.mean(np.concatenate(self._lift)))
+        self._whitening, self._scale = [np.ones(1)] * model.AXES, np.ones(model.AXES)
+        self._at: NDArray[np.float64] | None = None
+        self._values = (np.zeros(0), np.zeros((0, 0)))
+
+    @property
+    def mean_output(self) -> float:
+        """Of all motors over the record."""
+        return float(self._mean)
+
+    def suggested(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``x`` with gains from the powers of what was measured and what the outputs ask for, between 2 and 8 Hz."""
+        x = x.copy()
+        gains = np.zeros(model.AXES)
+        gains[model.THRUST] = np.log(self.lift_m_s2)
+        x[model.gains_of(self._layout)] = gains
+        left, _ = self._axes(x)
+        asked = [m[s:, : model.AXES] - rest for m, s, rest in zip(self._measured, self._skip, left, strict=True)]
+        for axis in _TURNING:
+            found = sum(float(_band(m[s:, axis], p.dt_s).std()) * p.samples for m, s, p in self._each())
+            wanted = sum(
+                float(_band(a[:, axis], p.dt_s).std()) * p.samples for a, p in zip(asked, self._pieces, strict=True)
+            )
+            gains[axis] = np.log(max(found, 1e-9) / max(wanted, 1e-9))
+        x[model.gains_of(self._layout)] = gains
+        return x
+
+    def colour(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Learn the noise from what ``x`` leaves; the shares explained (AXES,)."""
+        left, _ = self._axes(x)
+        order = max(round(_MEMORY_S / self._pieces[0].dt_s), 2)
+        explained, scale = np.zeros(model.AXES), np.ones(model.AXES)
+        whitening = []
+        for axis in range(model.AXES):
+            parts = [rows[:, axis] - rows[:, axis].mean() for rows in left]
+            filter_ = noise.autoregression(parts, order)
+            rest = np.concatenate([noise.whitened(part, filter_) for part in parts])
+            was = np.concatenate([noise.whitened(m[s:, axis], filter_) for m, s, _ in self._each()])
+            explained[axis] = max(1.0 - rest.var() / max(float(was.var()), 1e-30), 0.0)
+            scale[axis] = max(float(np.sqrt(np.mean(rest * rest))), _LEAST_NOISE)
+            whitening.append(filter_)
+        scale[model.THRUST] *= _THRUST_DOUBT
+        self._whitening, self._scale, self._at = whitening, scale, None
+        return explained
+
+    def residual(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What is left with these values of the free parameters, and what is off from the prior, in deviations."""
+        return self._both(free)[0]
+
+    def jacobian(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of ``residual``."""
+        return self._both(free)[1]
+
+    def whole(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
+        """All parameters."""
+        x = self._start.copy()
+        x[self.free] = free
+        return x
+
+    def course(self, x: NDArray[np.float64]) -> Course:
+        """Of the first piece."""
+        left, measured = self._axes(x)[0][0], self._measured[0][self._skip[0] :, : model.AXES]
+        time_s = self._pieces[0].dt_s * np.arange(len(left), dtype=np.float64)
+        return Course(np.asarray(time_s, np.float64), measured, measured - left)
+
+    def _each(self) -> list[tuple[NDArray[np.float64], int, Piece]]:
+        return list(zip(self._measured, self._skip, self._pieces, strict=True))
+
+    def _both(self, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self._at is None or not np.array_equal(self._at, free):
+            self._at, self._values = free.copy(), self._reduced(self.whole(free))
+        return self._values
+
+    def _reduced(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Squares stay the same under a rotation: each axis is reduced to as many rows as it has columns, after what
+        the air may have done is taken off."""
+        left, slopes = self._axes(x)
+        rows, jacobian = [], []
+        for axis in range(model.AXES):
+            columns = [
+                np.column_stack([air[axis], slope[axis][:, self.free], rest[:, axis]])
+                for air, slope, rest in zip(self._air, slopes, left, strict=True)
+            ]
+            white = np.concatenate([noise.whitened(c, self._whitening[axis]) for c in columns]) / self._scale[axis]
+            air = self._air[0][axis].shape[1]
+            triangle = np.asarray(np.linalg.qr(white, mode="r"))[air:, air:]
+            rows.append(triangle[:, -1])
+            jacobian.append(-triangle[:, :-1])
+        off, prior = (x - self._start)[self.free], self._prior[self.free]
+        return np.concatenate([*rows, off / prior]), np.concatenate([*jacobian, np.diag(1.0 / prior)])
+
+    def _axes(self, x: NDArray[np.float64]) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+        """What is left (N, AXES) and the derivatives (AXES, N, parameters) of what was foretold, of each piece."""
+        shapes = model.variants(x, self._layout.full, self._shape_free)
+        at_mean = np.array([float(chain.fraction(self._mean, shape)) for shape in shapes])
+        left, slopes = [], []
+        for (values, skip, piece), lift in zip(self._each(), self._lift, strict=True):
+            thrust = chain.shown(piece, shapes, self._filters) / at_mean[:, None, None]
+            # Battery, height and speed change what a rotor gives at the same output: the accelerometer says how much.
+            total = _slow(thrust.mean(axis=2).T, piece.dt_s).T
+            thrust = thrust * (lift[:, 0] / self.lift_m_s2 / np.maximum(total, 1e-3))[:, :, None]
+            value, derivative = model.foretold(x, self._layout, thrust[:, skip:], self._shape_free)
+            left.append(values[skip:, : model.AXES] - value.T)
+            slopes.append(derivative)
+        return left, slopes
+
+
+def _slow(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    """Columns (N, c) smoothed forwards and backwards."""
+    return chain.smoothed_both_ways(values, dt_s, _LIFT_S)
+
+
+def _band(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    return chain.band(values, dt_s, 2.0, 8.0)
+
+
+def _air(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Columns (N, c) of each axis that moving air brings in: damping by the rate, what side wind and speed do."""
+    one, side, rate, velocity = np.ones(len(values)), values[:, 4:6], values[:, 6:9], values[:, 9:12]
+    if not velocity.any():
+        velocity = velocity[:, :0]
+    return [
+        np.column_stack([one, (side**2).sum(axis=1), velocity[:, 2:]]),
+        np.column_stack([rate[:, 0], side[:, 1], velocity[:, :2]]),
+        np.column_stack([rate[:, 1], side[:, 0], velocity[:, :2]]),
+        np.column_stack([one, rate[:, 2], side, velocity[:, :2]]),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Of the longest piece: ``time_s`` (N,), accelerations (N, AXES) as measured and as foretold."""
+
+    time_s: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    foretold: NDArray[np.float64]
+
+
+def course(
+    record: Record, layout: Layout, filters: chain.Filters, inertia: tuple[float, float, float], x: NDArray[np.float64]
+) -> Course:
+    """What the parameters ``x`` say of a record."""
+    longest = Record([max(record.pieces, key=lambda piece: piece.samples)])
+    return Problem(longest, layout, filters, inertia, x, np.zeros(layout.parameters)).course(x)
+
+
+def fit(
+    record: Record,
+    layout: Layout,
+    filters: chain.Filters,
+    inertia: tuple[float, float, float],
+    start: NDArray[np.float64],
+    prior: Prior = Prior(),  # noqa: B008
+    rounds: int = ROUNDS,
+) -> Fit:
+    """From the parameters ``start`` (whose gains are taken from the record), believed as ``prior`` says."""
+    deviations = prior.deviations(layout.motors)
+    start = Problem(record, layout, filters, inertia, start, deviations).suggested(start)
+    problem = Problem(record, layout, filters, inertia, start, deviations)
+    free, x, explained = problem.free, start, np.zeros(model.AXES)
+    for _ in range(rounds):
+        explained = problem.colour(x)
+        scale = deviations[free]
+        found = least_squares(problem.residual, x[free], problem.jacobian, x_scale=scale, max_nfev=20, xtol=1e-4)
+        x = problem.whole(found.x)
+    jacobian = problem.jacobian(x[free])
+    covariance = np.zeros((len(x), len(x)))
+    covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
+    covariance += np.diag(_left_out(layout) * (deviations > 0.0))
+    return Fit(x, covariance, deviations, layout, problem.mean_output, explained)
+
+
+def _left_out(layout: Layout) -> NDArray[np.float64]:
+    """Variances (parameters,) that noise knows nothing of."""
+    out = np.zeros(layout.parameters)
+    out[: model.SHAPE] = _LEFT_OUT_SHAPE
+    out[model.gains_of(layout)] = _LEFT_OUT_GAIN
+    out[model.motors_of(layout)] = _LEFT_OUT_MOTOR
+    out[model.centre_of(layout)] = _LEFT_OUT_CENTRE
+    return out**2

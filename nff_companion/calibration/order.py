@@ -1,0 +1,106 @@
+"""Are motors where the file has them, and do they turn as it says? The log's own mixer answers.
+
+A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle flies well:
+each motor's thrust follows the measured accelerations with just the shares that the autopilot gives it. From them
+every motor's place and spin is read, as the autopilot believes it to be; then every order of the file's motors is
+compared with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.calibration import chain, model
+from nff_companion.calibration.model import Layout
+from nff_companion.calibration.record import Record
+
+_BAND_HZ = (0.7, 6.0)  # where the vehicle's own motion is above the air's
+_SETTLE_S = 0.5
+_AXES = (model.ROLL, model.PITCH, model.YAW)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A layout and what is changed in it: motors (from 1) that are swapped, or turn the other way."""
+
+    layout: Layout
+    swapped: tuple[int, int] | None = None
+    reversed: tuple[int, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """In words; empty: nothing is changed."""
+        if self.swapped:
+            return f"motors {self.swapped[0]} and {self.swapped[1]} are swapped"
+        if len(self.reversed) == self.layout.motors:
+            return "all motors turn the other way"
+        return " and ".join(f"motor {m} turns the other way" for m in self.reversed)
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """The order that fits best; ``off`` of it, of the file's own and of the next best one: mean square of the shares'
+    difference, over that of the shares (0: the same, 2: nothing in common)."""
+
+    best: Order
+    off: float
+    off_file: float
+    off_next: float
+
+
+def orders(layout: Layout) -> list[Order]:
+    """The file's first; then every pair swapped that is not alike, every motor reversed, all of them."""
+    out = [Order(layout)]
+    for i, k in combinations(range(layout.motors), 2):
+        if np.allclose(layout.rows[:, i], layout.rows[:, k]):
+            continue
+        places = np.arange(layout.motors)
+        places[[i, k]] = k, i
+        swapped = replace(layout, rows=layout.rows[:, places], thrust=layout.thrust[places])
+        out.append(Order(swapped, swapped=(i + 1, k + 1)))
+    motors = tuple(range(1, layout.motors + 1))
+    return out + [_reversed(layout, (motor,)) for motor in motors] + [_reversed(layout, motors)]
+
+
+def _reversed(layout: Layout, motors: tuple[int, ...]) -> Order:
+    rows = layout.rows.copy()
+    index = np.array(motors) - 1
+    rows[model.YAW, index] = -rows[model.YAW, index]
+    return Order(replace(layout, rows=rows), reversed=motors)
+
+
+def shares(
+    record: Record, filters: chain.Filters, motors: chain.Motors, inertia: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """(3, m) of roll, pitch and yaw that each motor is given, rows of mean square 1."""
+    m = record.pieces[0].output.shape[1]
+    gram, cross = np.zeros((3, 3)), np.zeros((3, m))
+    for piece in record.pieces:
+        skip = round(_SETTLE_S / piece.dt_s)
+        measured = chain.measured(piece, filters, inertia)[:, list(_AXES)]
+        thrust = chain.shown(piece, [motors], filters)[0]
+        both = np.column_stack([measured, thrust])
+        both = np.column_stack([chain.band(column, piece.dt_s, *_BAND_HZ) for column in both.T])[skip:-skip]
+        gram += both[:, :3].T @ both[:, :3]
+        cross += both[:, :3].T @ both[:, 3:]
+    out = np.linalg.solve(gram, cross)
+    return np.asarray(out / np.sqrt(np.mean(out**2, axis=1, keepdims=True)))
+
+
+def weigh(found: NDArray[np.float64], layout: Layout) -> Weighed:
+    """Which order of ``layout`` has the shares ``found`` (3, m)."""
+    all_orders = orders(layout)
+    off = np.array([_off(found, order.layout) for order in all_orders])
+    ranked = np.argsort(off, kind="stable")
+    best = int(ranked[0])
+    return Weighed(all_orders[best], float(off[best]), float(off[0]), float(off[ranked[1]]))
+
+
+def _off(found: NDArray[np.float64], layout: Layout) -> float:
+    rows = model.unit_rows(layout, np.zeros(layout.parameters))[list(_AXES)]
+    rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
+    return float(np.mean((found - rows) ** 2))

@@ -1,0 +1,49 @@
+"""Ordinary flights of a fleet, kept as the telemetry logs that a ground station would have written."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, dialect
+from sitl.fleet import Fleet
+from sitl.trials.healthy import Script
+from sitl.trials.wire import SYSTEM, WireAutopilot
+
+_STAMP = struct.Struct(">Q")
+_STREAMS_HZ = {
+    dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
+    dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 200.0,
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+}
+_AGAIN_S = 5.0, 110.0  # of the healthy script: what comes before gust and payload is flown again
+
+
+def write(fleet: Fleet, folder: Path, seconds: float) -> list[Path]:
+    """Fly steps, a square, climbs and turns, and keep what each vehicle tells, one file for each."""
+    script = Script(fleet)
+    codec = Codec(SYSTEM, COMPANION_COMPONENT)
+    autopilots = [WireAutopilot(fleet, vehicle) for vehicle in range(fleet.vehicles)]
+    for autopilot in autopilots:
+        for message_id, rate_hz in _STREAMS_HZ.items():
+            ask = dialect.MAVLink_command_long_message(
+                SYSTEM, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0
+            )
+            autopilot.take(codec.pack(ask))
+    paths = [folder / f"vehicle{vehicle + 1}.tlog" for vehicle in range(fleet.vehicles)]
+    files = [path.open("wb") for path in paths]
+    first, last = _AGAIN_S
+    while fleet.time_s < seconds:
+        time_s = fleet.time_s
+        script.step(time_s if time_s < last else first + (time_s - last) % (last - first))
+        fleet.step()
+        stamp = _STAMP.pack(round(1e6 * (1_700_000_000.0 + fleet.time_s)))
+        for autopilot, file in zip(autopilots, files, strict=True):
+            autopilot.telemetry()
+            for frame in autopilot.outgoing():
+                file.write(stamp + frame)
+    for file in files:
+        file.close()
+    return paths

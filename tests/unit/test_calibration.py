@@ -1,0 +1,211 @@
+"""A vehicle's numbers come out of its own flight as they are, with deviations that say how well."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from flown_logs import RATE_HZ, Flight, log_flight
+from numpy.typing import NDArray
+
+from nff_companion.calibration import airframe, chain, excitation, fit, model, order
+from nff_companion.calibration.record import Record, record
+from nff_companion.core import vehicle as vehicles
+from nff_companion.core.airframe_file import AirframeFile
+from nff_companion.core.residual import ResidualFilter
+from nff_companion.core.tuning import DEFAULT
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.errors import NotJudged
+from nff_companion.replay import calibrate
+
+SMOOTHING_S = DEFAULT.residual.smoothing_s
+FILTERS = chain.Filters(0.0, 0.0, SMOOTHING_S)
+OCTO = vehicles.path_of("octo-x").read_text(encoding="utf-8")
+
+
+def inertia(vehicle: Vehicle) -> tuple[float, float, float]:
+    jx, jy, jz = vehicle.inertia_kg_m2.tolist()
+    return jx, jy, jz
+
+
+def changed(text: str, *changes: tuple[str, str]) -> Vehicle:
+    """The vehicle of an airframe file with lines replaced."""
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return Vehicle(msgspec.convert(tomllib.loads(text), AirframeFile))
+
+
+UNFILTERED = (
+    ("gyro_filter_hz = 20", "gyro_filter_hz = 0"),
+    ("accelerometer_filter_hz = 20", "accelerometer_filter_hz = 0"),
+)
+
+
+def flown(vehicle: Vehicle, rng: np.random.Generator, seconds: float = 25.0) -> Record:
+    return record([sample for _, sample in Flight(vehicle, seconds=seconds).rows(rng)])
+
+
+def fitted(flight: Record, start: Vehicle, prior: model.Prior | None = None) -> fit.Fit:
+    layout = model.Layout.of(start)
+    begin = model.start(layout, start.motor.time_constant_up_s, start.command.thrust_expo, start.command.spin_min)
+    return fit.fit(flight, layout, FILTERS, inertia(start), begin, prior or model.Prior(), rounds=2)
+
+
+@pytest.mark.parametrize(("up", "down", "gyro_hz"), [(0.045, 0.045, 20.0), (0.03, 0.06, 20.0), (0.03, 0.03, 0.0)])
+def test_the_chain_over_a_record_is_the_one_that_flies(
+    up: float, down: float, gyro_hz: float, rng: np.random.Generator
+) -> None:
+    vehicle = changed(
+        OCTO,
+        ("time_constant_up_s = 0.045", f"time_constant_up_s = {up}"),
+        ("time_constant_down_s = 0.045", f"time_constant_down_s = {down}"),
+        ("gyro_filter_hz = 20", f"gyro_filter_hz = {gyro_hz}"),
+    )
+    rows = [sample for _, sample in Flight(vehicle, seconds=6.0).rows(rng)]
+    piece = record(rows).pieces[0]
+    filters = chain.Filters(gyro_hz, 20.0, SMOOTHING_S)
+    shape = chain.Motors(0.0, up, down, 0.65, 0.15, 0.95)
+    thrust = chain.shown(piece, [shape, shape], filters)
+    measured = chain.measured(piece, filters, inertia(vehicle))
+    flying = ResidualFilter(vehicle, piece.dt_s, DEFAULT.residual)
+    command = vehicle.thrust_fraction(piece.output)
+    state = flying.start(piece.gyro_rad_s[0], piece.specific_force_m_s2[0], command[0])
+    shown, seen = [state.thrust_shown], [state.measured]
+    for k in range(1, piece.samples):
+        state = flying.step(state, piece.gyro_rad_s[k], piece.specific_force_m_s2[k], command[k], piece.dt_s)
+        shown.append(state.thrust_shown)
+        seen.append(state.measured)
+    later = slice(200, None)  # how they begin differs: the flying one knows the sample before
+    np.testing.assert_allclose(thrust[1][later], np.array(shown)[later], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(measured[later, :4], np.array(seen)[later], rtol=0.0, atol=1e-6)
+
+
+def test_gains_lag_and_delay_come_out_of_a_flight(rng: np.random.Generator) -> None:
+    true = changed(
+        OCTO,
+        ("inertia_kg_m2 = [0.17, 0.17, 0.32]", "inertia_kg_m2 = [0.12, 0.21, 0.32]"),
+        ("time_constant_up_s = 0.045", "time_constant_up_s = 0.07"),
+        ("time_constant_down_s = 0.045", "time_constant_down_s = 0.07"),
+        ("torque_per_thrust_m = 0.018", "torque_per_thrust_m = 0.025"),
+        *UNFILTERED,
+    )
+    flight = flown(true, rng, 25.0)
+    shapes = []
+    for late in (0, 2):  # samples
+        pieces = [replace(p, output=np.roll(p.output, -late, axis=0)) for p in flight.pieces]
+        found = fitted(Record(pieces), changed(OCTO, *UNFILTERED))
+        shapes.append(model.shape_of(found.x, 0.95))
+        assert shapes[-1].lag_up_s == pytest.approx(0.07, abs=0.005)
+    assert shapes[1].delay_s - shapes[0].delay_s == pytest.approx(2.0 / RATE_HZ, abs=5e-4)
+    mine = model.accelerations(found.x, found.layout)[1:]
+    theirs = (true.acceleration_effectiveness * true.thrust_fraction(np.array(found.mean_output)))[1:]
+    scale = np.abs(theirs).max(axis=1)
+    assert (np.abs(mine - theirs).max(axis=1) / scale < 0.1).all(), mine / scale[:, None]
+
+
+def test_a_centre_of_mass_beside_the_middle_is_found(rng: np.random.Generator) -> None:
+    # Held level, the motors of the heavy side give more; the autopilot's integrals do that in a real flight.
+    true = changed(OCTO, ("mass_kg = 6.0", "mass_kg = 6.0\ncentre_of_mass_m = [0.03, -0.03, 0.0]"), *UNFILTERED)
+    found = fitted(flown(true, rng), changed(OCTO, *UNFILTERED))
+    centre_m = 0.5 * found.x[model.centre_of(found.layout)]
+    deviation_m = 0.5 * found.deviation[model.centre_of(found.layout)]
+    np.testing.assert_allclose(centre_m, [0.03, -0.03], atol=0.015)
+    assert (np.abs(centre_m - [0.03, -0.03]) < 2.5 * deviation_m).all()
+
+
+def test_the_derivatives_are_those_of_what_is_foretold(rng: np.random.Generator) -> None:
+    layout = model.Layout.of(vehicles.load("hexa-x"))
+    free = np.arange(model.SHAPE)
+    x = model.start(layout, 0.05, 0.5, 0.1) + 0.02 * rng.standard_normal(layout.parameters)
+    thrust = 1.0 + 0.1 * rng.standard_normal((1, 40, layout.motors))
+    relative = np.concatenate([thrust] * (1 + len(free)))
+    _, slopes = model.foretold(x, layout, relative, free)
+    for k in range(model.SHAPE, layout.parameters):
+        ends: list[NDArray[np.float64]] = []
+        for step in (-1e-6, 1e-6):
+            moved = x.copy()
+            moved[k] += step
+            ends.append(model.foretold(moved, layout, relative, free)[0])
+        np.testing.assert_allclose(slopes[:, :, k], (ends[1] - ends[0]) / 2e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", vehicles.names())
+def test_every_two_motors_swapped_and_every_spin_reversed_are_named(name: str, rng: np.random.Generator) -> None:
+    vehicle = vehicles.load(name)
+    filters = chain.Filters(vehicle.telemetry.gyro_filter_hz, vehicle.telemetry.accelerometer_filter_hz, SMOOTHING_S)
+    motor, command = vehicle.motor, vehicle.command
+    shape = chain.Motors(
+        0.0,
+        motor.time_constant_up_s,
+        motor.time_constant_down_s,
+        command.thrust_expo,
+        command.spin_min,
+        command.spin_max,
+    )
+    found = order.shares(flown(vehicle, rng, 12.0), filters, shape, inertia(vehicle))
+    layout = model.Layout.of(vehicle)
+    wrong = []
+    for changed_in_file in order.orders(layout):
+        weighed = order.weigh(found, changed_in_file.layout)
+        if not np.allclose(weighed.best.layout.rows, layout.rows):
+            wrong.append((changed_in_file.text, weighed.best.text))
+        named = weighed.best.text
+        assert bool(named) == bool(changed_in_file.text)
+    assert wrong == []
+
+
+def test_a_number_that_the_flight_does_not_show_keeps_its_deviation_and_what_to_fly_is_said(
+    rng: np.random.Generator,
+) -> None:
+    vehicle = changed(OCTO, *UNFILTERED)
+    calm = [
+        replace(p, output=np.broadcast_to(p.output.mean(axis=0), p.output.shape).copy())
+        for p in flown(vehicle, rng, 20.0).pieces
+    ]
+    found = fitted(Record(calm), vehicle)
+    verdicts = {v.name: v for v in excitation.verdicts(found)}
+    assert not verdicts["motor lag"].enough
+    assert "left" in verdicts["motor lag"].advice
+    assert not verdicts["thrust curve"].enough
+
+
+def test_the_file_keeps_what_was_not_measured_and_flies_as_the_fit_says(rng: np.random.Generator) -> None:
+    start = changed(OCTO, *UNFILTERED)
+    found = fitted(flown(start, rng), start)
+    text = airframe.written(OCTO, airframe.numbers(start, found), "mine", "calibrated from a test")
+    made = Vehicle(msgspec.convert(tomllib.loads(text), AirframeFile))
+    assert made.name == "mine"
+    assert made.network == ""  # trained with other numbers
+    assert made.mass_kg == 6.0
+    assert "[aerodynamics]" in text
+    assert "calibrated, +-" in text
+    at_mean = made.acceleration_effectiveness * made.thrust_fraction(np.array(found.mean_output))
+    np.testing.assert_allclose(at_mean, model.accelerations(found.x, found.layout), rtol=2e-3, atol=2e-3)
+
+
+def test_a_flight_with_a_failure_too_short_ones_and_another_order_are_refused(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    vehicle = vehicles.load("octo-x")
+    unfiltered = {"INS_GYRO_FILTER": 0.0, "INS_ACCEL_FILTER": 0.0}
+    logs = {
+        "failed": Flight(vehicle, seconds=30.0, fail_s=25.0, lost={3: 0.0}).rows(rng),
+        "short": Flight(vehicle, seconds=10.0).rows(rng),
+        "whole": Flight(vehicle, seconds=26.0).rows(rng),
+    }
+    monkeypatch.setattr(calibrate, "flights", lambda path: [log_flight(logs[path.name], unfiltered, motors=8)])
+    before, one, two, three, *rest = OCTO.replace('network = "octo-x"', "").split("\n[[rotor]]\n")
+    swapped = tmp_path / "swapped.toml"
+    swapped.write_text("\n[[rotor]]\n".join([before, three, two, one, *rest]), encoding="utf-8")
+    for log, file, reason in (
+        ("failed", "octo-x", "motor 3 fails|a motor fail in it"),
+        ("short", "octo-x", "20 s or more"),
+        ("whole", str(swapped), "motors 1 and 3 are swapped"),
+    ):
+        with pytest.raises(NotJudged, match=reason):
+            calibrate.calibrate([Path(log)], calibrate.Start(airframe=file), "mine")
