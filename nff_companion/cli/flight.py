@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nff_companion.cli.output import console, print_json, setup_logging
 from nff_companion.daemon.configuration import MODES
 from nff_companion.errors import ConfigError
+
+if TYPE_CHECKING:
+    from sitl.fleet import Fleet
+
+_LOGGED_S = 180.0
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 
@@ -24,6 +29,21 @@ def parse_failures(texts: list[str]) -> list[tuple[int, float]]:
         except ValueError as error:
             raise ConfigError(f"--fail {text!r} is not MOTOR@SECONDS, as in 1@5") from error
     return out
+
+
+def _logged(fleet: Fleet, log: Path, seconds: float) -> None:
+    """In virtual time. Raises ConfigError."""
+    from sitl.trials.flown_log import write
+
+    if log.suffix != ".tlog":
+        raise ConfigError(f"--log {log}: the suffix must be .tlog")
+    if not fleet.state.position_m[0, 2] < 0.0:
+        raise ConfigError("--log: the flight begins in the air; give --height METRES")
+    try:
+        write(fleet, [log], seconds)
+    except OSError as error:
+        raise ConfigError(f"{log} cannot be written: {error.strerror}") from error
+    console.print(f"{log}: {seconds:.0f} s of flight", highlight=False, soft_wrap=True)
 
 
 def sitl(
@@ -49,6 +69,10 @@ def sitl(
     serve_ardupilot: Annotated[
         bool, typer.Option("--serve-ardupilot", help="Be the physics of a real ArduPilot, JSON on UDP 9002.")
     ] = False,
+    log: Annotated[
+        Path | None,
+        typer.Option("--log", help="Fly stops and starts, climbs and turns by itself, and write this .tlog."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Emulate a vehicle that speaks MAVLink, in real time; or be the physics of a real autopilot."""
@@ -93,6 +117,9 @@ def sitl(
     )
     plant = plant_airframe.load(vehicle.path_of(airframe), thrust_to_weight=thrust_to_weight or None)
     fleet = Fleet(plant, options, faults)
+    if log is not None:
+        _logged(fleet, log, seconds or _LOGGED_S)
+        return
     link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
     card = None
     if personality == "ardupilot":

@@ -16,18 +16,19 @@ Socket = Annotated[str, typer.Option("--socket", help="Status socket of the daem
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 
 
-def run(
-    config: Annotated[Path, typer.Option("--config", help="Configuration file (TOML).")],
-    json: Json = False,
-) -> None:
+Configuration = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).")]
+Airframe = Annotated[str, typer.Option(help="Instead of --config, with --endpoint: airframe by name or TOML file.")]
+Endpoint = Annotated[str, typer.Option(help="Instead of --config: of the autopilot, as udpin:0.0.0.0:14550.")]
+
+
+def run(config: Configuration = None, airframe: Airframe = "", endpoint: Endpoint = "", json: Json = False) -> None:
     """Run the daemon until it is told to stop."""
     from nff_companion.daemon import configuration, service
 
     setup_logging()
-    loaded = configuration.load(config)
-    code = service.run(loaded)
+    code = service.run(configuration.given(config, airframe, endpoint))
     if json:
-        print_json({"config": str(config), "exit": code})
+        print_json({"config": None if config is None else str(config), "exit": code})
     raise typer.Exit(code)
 
 
@@ -114,7 +115,9 @@ def mode(
 
 
 def doctor(
-    config: Annotated[Path, typer.Option("--config", help="Configuration file (TOML).")],
+    config: Configuration = None,
+    airframe: Airframe = "",
+    endpoint: Endpoint = "",
     timeout: Annotated[float, typer.Option(help="Longest time to listen, in s.")] = 20.0,
     json: Json = False,
 ) -> None:
@@ -124,7 +127,7 @@ def doctor(
     from nff_companion.daemon import configuration
     from nff_companion.daemon.doctor import Doctor
 
-    findings = Doctor(configuration.load(config)).examine(timeout)
+    findings = Doctor(configuration.given(config, airframe, endpoint)).examine(timeout)
     marks = {True: ("ok  ", "green"), False: ("NOT ", "red"), None: ("note", "")}
     for finding in findings:
         console.print(Text.assemble(marks[finding.ok], f" {finding.name}: {finding.detail}"), soft_wrap=True)

@@ -106,6 +106,23 @@ def load(path: Path) -> Config:
     moved = _moved(raw)
     if moved:
         raise ConfigError(f"{_WHAT} {path}: {moved}")
+    return _checked(raw, path)
+
+
+def given(path: Path | None, airframe: str, endpoint: str) -> Config:
+    """The configuration file ``path``; or, without one, an airframe and an endpoint, and the defaults of all else: it
+    observes. Raises ConfigError."""
+    if path is not None:
+        if airframe or endpoint:
+            raise ConfigError(f"--config {path}: the file says airframe and endpoint; leave those options out")
+        return load(path)
+    if not (airframe and endpoint):
+        raise ConfigError("give --config FILE, or --airframe FILE and --endpoint URL (udpin:0.0.0.0:14550 and others)")
+    return _checked({"link": {"endpoint": endpoint}, "vehicle": {"airframe": airframe}}, Path("command line"))
+
+
+def _checked(raw: dict[str, Any], path: Path) -> Config:
+    """Raises ConfigError."""
     config = toml_file.converted(raw, Config, path, _WHAT)
     try:
         check(config.tuning)

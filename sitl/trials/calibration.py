@@ -107,7 +107,8 @@ def _vehicles(options: CalibrationOptions, seeds: list[int], folder: str) -> lis
     fleet = Fleet(plant_airframe.load(nominal, vehicles=len(seeds)), _options(seeds))
     place = Path(folder) / f"from{seeds[0]}"
     place.mkdir()
-    logs = flown_log.write(fleet, place, options.seconds)
+    logs = [place / f"{seed}.tlog" for seed in seeds]
+    flown_log.write(fleet, logs, options.seconds)
     out = []
     for index, (seed, log) in enumerate(zip(seeds, logs, strict=True)):
         true = place / f"true{seed}.toml"

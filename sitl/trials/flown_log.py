@@ -21,7 +21,7 @@ _STREAMS_HZ = {
 _AGAIN_S = 5.0, 110.0  # of the healthy script: what comes before gust and payload is flown again
 
 
-def write(fleet: Fleet, folder: Path, seconds: float) -> list[Path]:
+def write(fleet: Fleet, paths: list[Path], seconds: float) -> None:
     """Fly steps, a square, climbs and turns, and keep what each vehicle tells, one file for each."""
     script = Script(fleet)
     codec = Codec(SYSTEM, COMPANION_COMPONENT)
@@ -32,7 +32,6 @@ def write(fleet: Fleet, folder: Path, seconds: float) -> list[Path]:
                 SYSTEM, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0
             )
             autopilot.take(codec.pack(ask))
-    paths = [folder / f"vehicle{vehicle + 1}.tlog" for vehicle in range(fleet.vehicles)]
     files = [path.open("wb") for path in paths]
     first, last = _AGAIN_S
     while fleet.time_s < seconds:
@@ -46,4 +45,3 @@ def write(fleet: Fleet, folder: Path, seconds: float) -> list[Path]:
                 file.write(stamp + frame)
     for file in files:
         file.close()
-    return paths
