@@ -22,9 +22,10 @@ from nff_companion.calibration.record import Record
 _BANDS_HZ = ((0.7, 6.0), (0.3, 2.0))
 _SETTLE_S = 0.5
 _AXES = (model.ROLL, model.PITCH, model.YAW)
-# Share of the yaw motion that goes with the outputs: 0.42 to 0.52 of flights that never turned, in which the outputs
-# answer the air; 0.65 to 0.75 of flights with turns.
-_TURNED = 0.58
+# A flight that turns: at this rate, and its yaw motion goes with the outputs, freely (0.42 to 0.6 of flights that never
+# turned, in which the outputs answer the air; 0.65 to 0.75 of others) and by the spins of one of the orders (0.02 to
+# 0.12; 0.54 and more).
+_TURN_RAD_S, _TURNED, _TURNED_ALIKE = 0.25, 0.58, 0.35
 _SAME = 1e-9  # orders that differ in nothing that was seen
 
 
@@ -86,8 +87,14 @@ class Shares:
     turned: bool
 
 
-def shares(record: Record, filters: chain.Filters, motors: chain.Motors, inertia: tuple[float, float, float]) -> Shares:
-    """Of a record."""
+def shares(
+    record: Record,
+    layout: Layout,
+    filters: chain.Filters,
+    motors: chain.Motors,
+    inertia: tuple[float, float, float],
+) -> Shares:
+    """Of a record; ``layout`` in one order or another."""
     m = record.pieces[0].output.shape[1]
     sums = np.zeros((len(_BANDS_HZ), 3 + m, 3 + m))
     for piece in record.pieces:
@@ -102,8 +109,13 @@ def shares(record: Record, filters: chain.Filters, motors: chain.Motors, inertia
     rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
     yaw = sums[1]
     by_motors, cross = yaw[3:, 3:], yaw[3:, 2]
-    told = float(cross @ np.linalg.lstsq(by_motors, cross, rcond=1e-6)[0]) / max(float(yaw[2, 2]), 1e-30)
-    return Shares(rows, told >= _TURNED)
+    power = max(float(yaw[2, 2]), 1e-30)
+    told = float(cross @ np.linalg.lstsq(by_motors, cross, rcond=1e-6)[0]) / power
+    spins = np.array([each.layout.rows[model.YAW] for each in orders(layout)])
+    along = np.maximum(spins @ cross, 0.0) ** 2 / np.einsum("om,mk,ok->o", spins, by_motors, spins) / power
+    rate = np.concatenate([np.abs(piece.gyro_rad_s[:, 2]) for piece in record.pieces])
+    turns = float(np.percentile(rate, 98.0)) >= _TURN_RAD_S
+    return Shares(rows, turns and told >= _TURNED and float(along.max()) >= _TURNED_ALIKE)
 
 
 def weigh(found: Shares, layout: Layout) -> Weighed:
