@@ -22,6 +22,7 @@ _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
 _LEFT_OUT_SHAPE = (0.0012, 0.03, 0.03, 0.03, 0.008)
+_UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
 _LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
 
 
@@ -90,18 +91,21 @@ class Problem:
             wanted = sum(
                 float(_band(a[:, axis], p.dt_s).std()) * p.samples for a, p in zip(asked, self._pieces, strict=True)
             )
-            gains[axis] = np.log(max(found, 1e-9) / max(wanted, 1e-9))
+            if self._prior[model.SHAPE + axis] > 0.0:
+                gains[axis] = np.log(max(found, 1e-9) / max(wanted, 1e-9))
+            else:
+                gains[axis] = self._layout.per_lift[axis] + gains[model.THRUST]
         x[model.gains_of(self._layout)] = gains
         return x
 
     def colour(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Learn the noise from what ``x`` leaves; the shares explained (AXES,)."""
         left, _ = self._axes(x)
-        order = max(round(_MEMORY_S / self._pieces[0].dt_s), 2)
         explained, scale = np.zeros(model.AXES), np.ones(model.AXES)
         whitening = []
         for axis in range(model.AXES):
             parts = [rows[:, axis] - rows[:, axis].mean() for rows in left]
+            order = max(round(_MEMORY_S / self._pieces[0].dt_s), 2)
             filter_ = noise.autoregression(parts, order)
             rest = np.concatenate([noise.whitened(part, filter_) for part in parts])
             was = np.concatenate([noise.whitened(m[s:, axis], filter_) for m, s, _ in self._each()])
@@ -236,6 +240,8 @@ def fit(
     covariance = np.zeros((len(x), len(x)))
     covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
     covariance += np.diag(_left_out(layout) * (deviations > 0.0))
+    if prior.yaw == 0.0:
+        covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)
 
 

@@ -35,7 +35,8 @@ class Prior:
     asymmetry: float = 0.15  # of the logarithm of lag down over lag up
     expo: float = 0.2
     idle: float = 0.03
-    gain: float = 1.5  # of its logarithm
+    gain: float = 1.5  # of its logarithm, roll and pitch
+    yaw: float = 1.5  # the same of yaw
     motor: float = 0.05
     centre: float = 0.03  # of the farthest arm
     steady: float = 0.01  # of the same: torque of the air, as if the centre were elsewhere
@@ -43,7 +44,7 @@ class Prior:
     def deviations(self, motors: int) -> NDArray[np.float64]:
         """(parameters,)."""
         shape = [self.delay_s, self.lag, self.asymmetry, self.expo, self.idle]
-        gains = [0.0, self.gain, self.gain, self.gain]  # thrust: what carries the vehicle is known
+        gains = [0.0, self.gain, self.gain, self.yaw]  # thrust: what carries the vehicle is known
         return np.array(shape + gains + [self.motor] * motors + [self.centre] * 2 + [self.steady] * 2)
 
 
@@ -55,6 +56,7 @@ class Layout:
     rows: NDArray[np.float64]
     thrust: NDArray[np.float64]
     full: float
+    per_lift: tuple[float, float, float, float]  # logarithms of the file's gains over that of thrust
 
     @staticmethod
     def of(vehicle: Vehicle) -> Layout:
@@ -63,8 +65,11 @@ class Layout:
         mean = float(matrix[THRUST].mean())
         drag = float(np.abs(matrix[YAW]).mean())
         arm = arm_m(vehicle)
-        rows = matrix / np.array([mean * vehicle.motors, mean * arm, mean * arm, drag])[:, None]
-        return Layout(rows, matrix[THRUST] / mean, vehicle.command.spin_max)
+        scale = np.array([mean * vehicle.motors, mean * arm, mean * arm, drag])
+        gains = np.log(scale / np.concatenate([[vehicle.mass_kg], vehicle.inertia_kg_m2]))
+        per_lift = (gains - gains[THRUST]).tolist()
+        full = vehicle.command.spin_max
+        return Layout(matrix / scale[:, None], matrix[THRUST] / mean, full, tuple(per_lift))
 
     @property
     def motors(self) -> int:

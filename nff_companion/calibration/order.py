@@ -18,9 +18,15 @@ from nff_companion.calibration import chain, model
 from nff_companion.calibration.model import Layout
 from nff_companion.calibration.record import Record
 
-_BAND_HZ = (0.7, 6.0)  # where the vehicle's own motion is above the air's
+# Where the vehicle's own motion is above the air's: roll and pitch; yaw, of which the air and the gyro have the rest.
+_BANDS_HZ = ((0.7, 6.0), (0.3, 2.0))
 _SETTLE_S = 0.5
 _AXES = (model.ROLL, model.PITCH, model.YAW)
+# A flight that turns: at this rate, and its yaw motion goes with the outputs, freely (0.42 to 0.6 of flights that never
+# turned, in which the outputs answer the air; 0.65 to 0.75 of others) and by the spins of one of the orders (0.02 to
+# 0.12; 0.54 and more).
+_TURN_RAD_S, _TURNED, _TURNED_ALIKE = 0.25, 0.58, 0.35
+_SAME = 1e-9  # orders that differ in nothing that was seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,34 +79,59 @@ def _reversed(layout: Layout, motors: tuple[int, ...]) -> Order:
     return Order(replace(layout, rows=rows), reversed=motors)
 
 
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """``rows`` (3, m) of roll, pitch and yaw that each motor is given, of mean square 1; ``turned``: yaw tells."""
+
+    rows: NDArray[np.float64]
+    turned: bool
+
+
 def shares(
-    record: Record, filters: chain.Filters, motors: chain.Motors, inertia: tuple[float, float, float]
-) -> NDArray[np.float64]:
-    """(3, m) of roll, pitch and yaw that each motor is given, rows of mean square 1."""
+    record: Record,
+    layout: Layout,
+    filters: chain.Filters,
+    motors: chain.Motors,
+    inertia: tuple[float, float, float],
+) -> Shares:
+    """Of a record; ``layout`` in one order or another."""
     m = record.pieces[0].output.shape[1]
-    gram, cross = np.zeros((3, 3)), np.zeros((3, m))
+    sums = np.zeros((len(_BANDS_HZ), 3 + m, 3 + m))
     for piece in record.pieces:
         skip = round(_SETTLE_S / piece.dt_s)
         measured = chain.measured(piece, filters, inertia)[:, list(_AXES)]
-        thrust = chain.shown(piece, [motors], filters)[0]
-        both = np.column_stack([measured, thrust])
-        both = np.column_stack([chain.band(column, piece.dt_s, *_BAND_HZ) for column in both.T])[skip:-skip]
-        gram += both[:, :3].T @ both[:, :3]
-        cross += both[:, :3].T @ both[:, 3:]
-    out = np.linalg.solve(gram, cross)
-    return np.asarray(out / np.sqrt(np.mean(out**2, axis=1, keepdims=True)))
+        both = np.column_stack([measured, chain.shown(piece, [motors], filters)[0]])
+        for k, band_hz in enumerate(_BANDS_HZ):
+            kept = np.column_stack([chain.band(column, piece.dt_s, *band_hz) for column in both.T])[skip:-skip]
+            sums[k] += kept.T @ kept
+    fast, slow = (np.linalg.solve(total[:3, :3], total[:3, 3:]) for total in sums)
+    rows = np.stack([fast[0], fast[1], slow[2]])
+    rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
+    yaw = sums[1]
+    by_motors, cross = yaw[3:, 3:], yaw[3:, 2]
+    power = max(float(yaw[2, 2]), 1e-30)
+    told = float(cross @ np.linalg.lstsq(by_motors, cross, rcond=1e-6)[0]) / power
+    spins = np.array([each.layout.rows[model.YAW] for each in orders(layout)])
+    along = np.maximum(spins @ cross, 0.0) ** 2 / np.einsum("om,mk,ok->o", spins, by_motors, spins) / power
+    rate = np.concatenate([np.abs(piece.gyro_rad_s[:, 2]) for piece in record.pieces])
+    turns = float(np.percentile(rate, 98.0)) >= _TURN_RAD_S
+    return Shares(rows, turns and told >= _TURNED and float(along.max()) >= _TURNED_ALIKE)
 
 
-def weigh(found: NDArray[np.float64], layout: Layout) -> Weighed:
-    """Which order of ``layout`` has the shares ``found`` (3, m)."""
-    all_orders = orders(layout)
+def weigh(found: Shares, layout: Layout) -> Weighed:
+    """Which order of ``layout`` has the shares ``found``; spins alone are not judged of a flight that never turned."""
+    all_orders = [order for order in orders(layout) if found.turned or not order.reversed]
     off = np.array([_off(found, order.layout) for order in all_orders])
     ranked = np.argsort(off, kind="stable")
     best = int(ranked[0])
-    return Weighed(all_orders[best], float(off[best]), float(off[0]), float(off[ranked[1]]))
+    if off[best] >= off[0] - _SAME:
+        best = 0
+    following = float(min(off[k] for k in range(len(off)) if k != best))
+    return Weighed(all_orders[best], float(off[best]), float(off[0]), following)
 
 
-def _off(found: NDArray[np.float64], layout: Layout) -> float:
+def _off(found: Shares, layout: Layout) -> float:
+    axes = slice(None) if found.turned else slice(2)
     rows = model.unit_rows(layout, np.zeros(layout.parameters))[list(_AXES)]
     rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
-    return float(np.mean((found - rows) ** 2))
+    return float(np.mean((found.rows[axes] - rows[axes]) ** 2))

@@ -16,6 +16,7 @@ from nff_companion.calibration import fit as fitting
 from nff_companion.calibration.airframe import Number
 from nff_companion.calibration.excitation import Verdict
 from nff_companion.calibration.fit import Course, Fit
+from nff_companion.calibration.model import Prior
 from nff_companion.calibration.order import Weighed
 from nff_companion.calibration.record import Piece, Record, record
 from nff_companion.core import toml_file
@@ -117,11 +118,15 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     )
     # With its beginning alone first: what fails later has not spoilt the vehicle that it is judged with.
     beginning = _shortened(whole, max(_BEGINNING * whole.duration_s, 0.5 * _LEAST_S))
-    begin = fitting.fit(beginning, layout, filters, inertia, _prior(vehicle), rounds=2)
-    _ordered(order.weigh(order.shares(whole, filters, model.shape_of(begin.x, layout.full), inertia), layout), vehicle)
+    start = _prior(vehicle)
+    shares = order.shares(whole, layout, filters, model.shape_of(start, layout.full), inertia)
+    _ordered(order.weigh(shares, layout), vehicle)
+    prior = Prior() if shares.turned else Prior(yaw=0.0)
+    begin = fitting.fit(beginning, layout, filters, inertia, start, Prior(yaw=0.0), rounds=2)
     _healthy(found, _file(found, vehicle, begin, text, name)[1])
-    fit = fitting.fit(whole, layout, filters, inertia, _prior(vehicle))
-    weighed = order.weigh(order.shares(whole, filters, model.shape_of(fit.x, layout.full), inertia), layout)
+    fit = fitting.fit(whole, layout, filters, inertia, start, prior)
+    weighed = order.weigh(order.shares(whole, layout, filters, model.shape_of(fit.x, layout.full), inertia), layout)
+    _ordered(weighed, vehicle)
     written, made = _file(found, vehicle, fit, text, name)
     _healthy(found, made)
     course = fitting.course(whole, layout, filters, inertia, fit.x)
