@@ -24,11 +24,11 @@ from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import ardupilot, rate_outputs
 from nff_companion.replay.flight import (
-    OUTPUT_GAP_MAX_S,
     Frame,
     LogFlight,
     Reading,
     Row,
+    far,
     interpolated,
     newest,
     rate_of_outputs,
@@ -254,7 +254,7 @@ def _outputs(
     told_s, told_hz = told[:, 0], rate_of_outputs(told[:, 0], "RCOU")
     # Pulses are interpolated before they become outputs, which are clipped.
     output = vehicle.output_of_pwm(interpolated(told_s, told[:, 1:], time_s)[:, channels])
-    output[_far(told_s, time_s)] = np.nan
+    output[far(told_s, time_s)] = np.nan
     if rate is None or not rate_outputs.is_faster(rate, told_hz):
         return output, "RCOU", told_hz
     try:
@@ -283,16 +283,6 @@ def _valid_until(log: _Log, armings: Table, vehicle: Vehicle, channels: list[int
             log.note(f"from {time_s:.0f} s on, the next arming, the parameters are others: not read")
             return float(time_s)
     return np.inf
-
-
-def _far(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(N,) where what lies on either side is too far apart to be interpolated, or there is nothing on one."""
-    index = newest(times, at)
-    inside = (index >= 0) & ((index < len(times) - 1) | (times[index] == at))
-    after = times[np.minimum(index + 1, len(times) - 1)]
-    return ~inside & (np.abs(at - times[np.clip(index, 0, None)]) > OUTPUT_GAP_MAX_S) | (
-        inside & (after - times[np.clip(index, 0, None)] > OUTPUT_GAP_MAX_S)
-    )
 
 
 def _first(tables: Mapping[str, Table], *names: str) -> Table | None:
