@@ -84,10 +84,10 @@ class Mixer:
 def mixer_of(values: Mapping[str, float]) -> Mixer:
     """The mixer of the frame and the motors that parameters tell of. Raises NotJudged where they tell of none."""
     frame_class, frame_type = values.get("FRAME_CLASS"), values.get("FRAME_TYPE")
-    if frame_class is None or frame_type is None:
-        raise NotJudged("FRAME_CLASS and FRAME_TYPE are not in the log")
     if frame_class in _SCRIPTED:
         raise NotJudged(f"FRAME_CLASS {frame_class:.0f} is a mixer of a script")
+    if frame_class is None or frame_type is None:
+        raise NotJudged("FRAME_CLASS and FRAME_TYPE are not in the log")
     frame = catalogue.of_ardupilot(round(frame_class), round(frame_type))
     if frame is None or frame.without or frame.name in _OWN_YAW:
         name = "" if frame is None else f" ({frame.name})"

@@ -257,10 +257,10 @@ def _outputs(
     output[far(told_s, time_s)] = np.nan
     if rate is None or not rate_outputs.is_faster(rate, told_hz):
         return output, "RCOU", told_hz
+    # A pulse is the whole microseconds of what was asked for (AP_MotorsMulticopter::output_to_pwm).
+    asked = vehicle.output_of_pwm(told[:, 1:][:, channels] + 0.5)
     try:
-        found = rate_outputs.reconstructed(
-            rate, log.tables.get("MOTB"), told_s, vehicle.output_of_pwm(told[:, 1:][:, channels]), values
-        )
+        found = rate_outputs.reconstructed(rate, log.tables.get("MOTB"), told_s, asked, values)
     except NotJudged as error:
         log.note(f"motor outputs by RCOU at {told_hz:.0f} Hz alone, not by RATE: {error}")
         return output, "RCOU", told_hz

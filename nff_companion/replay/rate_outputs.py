@@ -26,6 +26,7 @@ _GAIN = (0.5, 3.0)  # thin air gives at most 2, an empty battery 1.7
 _GAIN_RECORDS = 21  # of RCOU, two seconds, whose median the gain is
 _FLYING = 0.05  # throttle
 _LEAST = 20  # records of RCOU in flight
+_LIMITED = 1e-6  # of thrust
 _DOUBTFUL = 0.02  # of the outputs' range, between what the mixer may have done with too little room
 # Of the outputs' range: the median of the worst motor; one record. Share of records that agree. Share of the power of
 # the motors' differences that is not explained, in the half of the records with most of it; beside pulses in whole us.
@@ -89,10 +90,11 @@ def reconstructed(
     output, sure = 0.5 * (least + most), np.abs(most - least).max(axis=1) < _DOUBTFUL
     error = output[index] - told
     _check(error, told, flying, flying & sure[index])
-    agrees = beside & (np.abs(error).max(axis=1) < _RECORD_MAX)
+    # A record that is not sure speaks for nothing and against nothing.
+    differs = ~beside | (sure[index] & (np.abs(error).max(axis=1) > _RECORD_MAX))
     before = newest(told_s, rate[:, 0])
     after = np.minimum(before + 1, len(told_s) - 1)
-    known = sure & agrees[np.maximum(before, 0)] & agrees[after] & (before >= 0)
+    known = sure & (before >= 0) & ~differs[np.maximum(before, 0)] & ~differs[after]
     near = np.diff(rate[:, 0]) < _GAP_S
     return Outputs(rate[:, 0], output, np.append(known[:-1] & known[1:] & near, False), hz)
 
@@ -109,12 +111,13 @@ def _gain(mixer: Mixer, told_s: Array, told: Array, demand: Array, flying: NDArr
     Raises NotJudged."""
     throttle = demand[:, 3]
     asked = throttle[:, None] + demand[:, :3] @ mixer.factors.T
-    room = flying & (asked > 0.02).all(axis=1) & (told > 0.0).all(axis=1) & (told < 1.0).all(axis=1)
+    limited = np.abs(mixer.thrusts(demand, throttle) - asked).max(axis=1) > _LIMITED
+    room = flying & ~limited & (asked > 0.02).all(axis=1) & (told > 0.0).all(axis=1) & (told < 1.0).all(axis=1)
     if room.sum() < _LEAST:
         raise NotJudged(f"{room.sum()} records of RCOU in flight to compare with; {_LEAST} are needed")
     each = told[room].mean(axis=1) / asked[room].mean(axis=1)
     half = _GAIN_RECORDS // 2
-    gain = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(each, half, "edge"), _GAIN_RECORDS), axis=1)
+    gain = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(each, half, "reflect"), _GAIN_RECORDS), axis=1)
     if not (_GAIN[0] < float(np.median(gain)) < _GAIN[1]):
         raise NotJudged(f"RCOU has {np.median(gain):.2g} times the thrust that RATE asks for")
     return np.asarray(np.interp(at_s, told_s[room], np.clip(gain, *_GAIN)))
