@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -16,7 +16,6 @@ from nff_companion.calibration import fit as fitting
 from nff_companion.calibration.airframe import Number
 from nff_companion.calibration.excitation import Verdict
 from nff_companion.calibration.fit import Course, Fit
-from nff_companion.calibration.model import Prior
 from nff_companion.calibration.order import Weighed
 from nff_companion.calibration.record import Piece, Record, record
 from nff_companion.core import toml_file
@@ -40,6 +39,8 @@ _RATE_HZ, _RATE_MIN_HZ = 200.0, 45.0  # more tells nothing, with less the motors
 _OUTPUTS_MIN_HZ = 45.0
 # Mean squares of the shares' difference (order.py): another order is named when it fits, and the file's does not.
 _FITS, _CLEARLY = 0.45, 0.08
+# Parameters that the link compares with the file's: with another curve than the autopilot's own nothing would fly.
+_CURVE_TOLD = {"thrust_expo": ("MOT_THST_EXPO", "THR_MDL_FAC"), "spin_min": ("MOT_SPIN_MIN",)}
 
 
 @dataclass(frozen=True)
@@ -117,12 +118,13 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
         vehicle.telemetry.gyro_filter_hz, vehicle.telemetry.accelerometer_filter_hz, DEFAULT.residual.smoothing_s
     )
     # With its beginning alone first: what fails later has not spoilt the vehicle that it is judged with.
+    prior = _known(found)
     beginning = _shortened(whole, max(_BEGINNING * whole.duration_s, 0.5 * _LEAST_S))
-    start = _prior(vehicle)
+    start = _start_of(vehicle)
     shares = order.shares(whole, layout, filters, model.shape_of(start, layout.full), inertia)
     _ordered(order.weigh(shares, layout), vehicle)
-    prior = Prior() if shares.turned else Prior(yaw=0.0)
-    begin = fitting.fit(beginning, layout, filters, inertia, start, Prior(yaw=0.0), rounds=2)
+    prior = prior if shares.turned else replace(prior, yaw=0.0)
+    begin = fitting.fit(beginning, layout, filters, inertia, start, replace(prior, yaw=0.0), rounds=2)
     _healthy(found, _file(found, vehicle, begin, text, name)[1])
     fit = fitting.fit(whole, layout, filters, inertia, start, prior)
     weighed = order.weigh(order.shares(whole, layout, filters, model.shape_of(fit.x, layout.full), inertia), layout)
@@ -130,11 +132,28 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     written, made = _file(found, vehicle, fit, text, name)
     _healthy(found, made)
     course = fitting.course(whole, layout, filters, inertia, fit.x)
-    numbers = airframe.numbers(vehicle, fit)
-    return Calibration(written, numbers, excitation.verdicts(fit), weighed, fit, course, whole.duration_s)
+    verdicts = [verdict for verdict in excitation.verdicts(fit) if verdict.deviation > 0.0]
+    return Calibration(written, _numbers(vehicle, fit), verdicts, weighed, fit, course, whole.duration_s)
 
 
-def _prior(vehicle: Vehicle) -> NDArray[np.float64]:
+def _known(found: list[LogFlight]) -> model.Prior:
+    """What is known beforehand: a thrust curve that the autopilot was told is that of the file, as it stands."""
+    told = {name for flight in found for name in flight.parameters.at(flight.take_off_s)}
+    prior = model.Prior()
+    if told.intersection(_CURVE_TOLD["thrust_expo"]):
+        prior = replace(prior, expo=0.0)
+    if told.intersection(_CURVE_TOLD["spin_min"]):
+        prior = replace(prior, idle=0.0)
+    return prior
+
+
+def _numbers(vehicle: Vehicle, fit: Fit) -> list[Number]:
+    """Those that were measured."""
+    curve = {f"command.{key}" for key in _CURVE_TOLD}
+    return [n for n in airframe.numbers(vehicle, fit) if n.key not in curve or n.deviation > 0.0]
+
+
+def _start_of(vehicle: Vehicle) -> NDArray[np.float64]:
     motor, command = vehicle.motor, vehicle.command
     lag_s = max(0.5 * (motor.time_constant_up_s + motor.time_constant_down_s), _LAG_MIN_S)
     delay_s = vehicle.telemetry.output_delay_s
@@ -153,7 +172,7 @@ def _ordered(weighed: Weighed, vehicle: Vehicle) -> None:
 def _file(found: list[LogFlight], vehicle: Vehicle, fit: Fit, text: str, name: str) -> tuple[str, Vehicle]:
     """The new airframe file. Raises NotJudged where no vehicle is like that."""
     source = f"calibrated from {', '.join(flight.path.name for flight in found)}"[:1000]
-    written = airframe.written(text, airframe.numbers(vehicle, fit), name, source)
+    written = airframe.written(text, _numbers(vehicle, fit), name, source)
     try:
         draft.check(written, Path(f"{name}.toml"))
     except ConfigError as error:

@@ -1,7 +1,8 @@
 """ArduPilot logs (.bin).
 
-Motor outputs are logged ten times a second: they are interpolated, which a log permits and a live link does not. A
-log made for training should have LOG_BITMASK bit 0 (fast attitude), which also brings the inertial samples closer.
+Motor outputs are logged ten times a second: they are interpolated, which a log permits and a live link does not. Where
+the demands of the rate loops are logged (LOG_BITMASK bit 0, fast attitude), outputs follow from them (rate_outputs.py);
+bit 18 (fast IMU) brings the inertial samples of every loop.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from numpy.typing import NDArray
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
-from nff_companion.replay import ardupilot
+from nff_companion.replay import ardupilot, rate_outputs
 from nff_companion.replay.flight import (
-    OUTPUT_GAP_MAX_S,
     Frame,
     LogFlight,
     Reading,
     Row,
+    far,
     interpolated,
     newest,
     rate_of_outputs,
@@ -54,7 +55,10 @@ _TABLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "EV": ("EV", ("Id",)),
     "ARM": ("ARM", ("ArmState",)),
     "ESC": ("ESC", ("Instance", "RPM")),
+    "RATE": ("RATE", ("ROut", "POut", "YOut", "AOut")),
+    "MOTB": ("MOTB", ("LiftMax", "BatVolt")),
 }
+_NOT_NEEDED = ("RATE", "MOTB")  # a record that lacks a field is passed over
 _OLD_CHANNEL = re.compile(r"C(\d+)")
 
 
@@ -65,6 +69,11 @@ class _Log:
     tables: dict[str, Table] = field(default_factory=dict)
     parameters: Parameters = field(default_factory=Parameters)
     notes: list[str] = field(default_factory=list)
+
+    def note(self, text: str) -> None:
+        """Said once, however often the log is read."""
+        if text not in self.notes:
+            self.notes.append(text)
 
 
 def _read(path: Path) -> _Log:
@@ -108,6 +117,8 @@ def _take(reader: Any, log: _Log, rows: dict[str, list[list[float]]]) -> None:
             log.parameters.put(at_s, message.Name, float(message.Value))
         elif getattr(message, "I", 0) == 0 and getattr(message, "C", 0) == 0:
             name, wanted = _TABLES[kind]
+            if kind in _NOT_NEEDED and not set(wanted) <= set(fields):
+                continue
             rows.setdefault(name, []).append([at_s, *(_value(message, field) for field in wanted)])
 
 
@@ -201,10 +212,8 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
             "SERVO1_FUNCTION and following are not in the log: an ArduPilot before 3.5, or a log without parameters;"
             " which output drives which motor is not known"
         )
-    imu, outputs, time_s = tables["IMU"], tables["RCOU"], tables["IMU"][:, 0]
-    outputs_hz = rate_of_outputs(outputs[:, 0], "RCOU")
-    output = vehicle.output_of_pwm(interpolated(outputs[:, 0], outputs[:, 1:], time_s)[:, channels])
-    output[_far(outputs[:, 0], time_s)] = np.nan
+    imu, time_s = tables["IMU"], tables["IMU"][:, 0]
+    output, name, outputs_hz = _outputs(log, vehicle, channels, values)
     attitude = _first(tables, "XKQ", "NKQ")
     state = _first(tables, "XKF1", "NKF1")
     where = None if state is None else interpolated(state[:, 0], state[:, 1:], time_s)
@@ -233,7 +242,31 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
         for k in range(len(time_s))
     ]
     end_s = _valid_until(log, armings, vehicle, channels)
-    return Reading([row for row in rows if row[0] < end_s], "RCOU", outputs_hz)
+    return Reading([row for row in rows if row[0] < end_s], name, outputs_hz)
+
+
+def _outputs(
+    log: _Log, vehicle: Vehicle, channels: list[int], values: Mapping[str, float]
+) -> tuple[NDArray[np.float64], str, float]:
+    """Motor outputs (N, m) at the times of IMU, NaN where there are none near; from which messages, and at how many Hz.
+    Raises NotJudged."""
+    told, time_s, rate = log.tables["RCOU"], log.tables["IMU"][:, 0], log.tables.get("RATE")
+    told_s, told_hz = told[:, 0], rate_of_outputs(told[:, 0], "RCOU")
+    # Pulses are interpolated before they become outputs, which are clipped.
+    output = vehicle.output_of_pwm(interpolated(told_s, told[:, 1:], time_s)[:, channels])
+    output[far(told_s, time_s)] = np.nan
+    if rate is None or not rate_outputs.is_faster(rate, told_hz):
+        return output, "RCOU", told_hz
+    # A pulse is the whole microseconds of what was asked for (AP_MotorsMulticopter::output_to_pwm).
+    asked = vehicle.output_of_pwm(told[:, 1:][:, channels] + 0.5)
+    try:
+        found = rate_outputs.reconstructed(rate, log.tables.get("MOTB"), told_s, asked, values)
+    except NotJudged as error:
+        log.note(f"motor outputs by RCOU at {told_hz:.0f} Hz alone, not by RATE: {error}")
+        return output, "RCOU", told_hz
+    within = found.at(time_s)
+    output[within] = interpolated(found.time_s, found.output, time_s[within])
+    return output, "RATE and RCOU", found.hz
 
 
 def _valid_until(log: _Log, armings: Table, vehicle: Vehicle, channels: list[int]) -> float:
@@ -247,19 +280,9 @@ def _valid_until(log: _Log, armings: Table, vehicle: Vehicle, channels: list[int
         except NotJudged:
             same = False
         if not same or ardupilot.misfit(values, vehicle, None):
-            log.notes.append(f"from {time_s:.0f} s on, the next arming, the parameters are others: not read")
+            log.note(f"from {time_s:.0f} s on, the next arming, the parameters are others: not read")
             return float(time_s)
     return np.inf
-
-
-def _far(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(N,) where what lies on either side is too far apart to be interpolated, or there is nothing on one."""
-    index = newest(times, at)
-    inside = (index >= 0) & ((index < len(times) - 1) | (times[index] == at))
-    after = times[np.minimum(index + 1, len(times) - 1)]
-    return ~inside & (np.abs(at - times[np.clip(index, 0, None)]) > OUTPUT_GAP_MAX_S) | (
-        inside & (after - times[np.clip(index, 0, None)] > OUTPUT_GAP_MAX_S)
-    )
 
 
 def _first(tables: Mapping[str, Table], *names: str) -> Table | None:

@@ -86,3 +86,13 @@ def interpolated(
 ) -> NDArray[np.float64]:
     """Columns of ``values`` (K, c) at ``at`` (N,)."""
     return np.stack([np.interp(at, times, column) for column in values.T], axis=1)
+
+
+def far(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(N,) where what lies on either side is too far apart to be interpolated, or there is nothing on one."""
+    index = newest(times, at)
+    inside = (index >= 0) & ((index < len(times) - 1) | (times[index] == at))
+    after = times[np.minimum(index + 1, len(times) - 1)]
+    return ~inside & (np.abs(at - times[np.clip(index, 0, None)]) > OUTPUT_GAP_MAX_S) | (
+        inside & (after - times[np.clip(index, 0, None)] > OUTPUT_GAP_MAX_S)
+    )

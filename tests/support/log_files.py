@@ -167,6 +167,8 @@ _BIN = {
     "EV": (4, "QB", "TimeUS,Id"),
     "XKQ": (5, "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4"),
     "XKF1": (6, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
+    "RATE": (7, "Qffff", "TimeUS,ROut,POut,YOut,AOut"),
+    "MOTB": (8, "Qff", "TimeUS,LiftMax,BatVolt"),
 }
 _BYTES = {"Q": "Q", "B": "B", "f": "f", "H": "H", "N": "16s", "I": "I"}
 _HEAD = b"\xa3\x95"

@@ -12,6 +12,8 @@ import pytest
 from flown_logs import RATE_HZ, Flight, log_flight
 from numpy.typing import NDArray
 
+from nff_companion.autopilots.ardupilot import checks
+from nff_companion.autopilots.px4 import outputs
 from nff_companion.calibration import airframe, chain, excitation, fit, model, order
 from nff_companion.calibration.record import Record, record
 from nff_companion.core import vehicle as vehicles
@@ -21,6 +23,7 @@ from nff_companion.core.tuning import DEFAULT
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NotJudged
 from nff_companion.replay import calibrate
+from nff_companion.replay.flight import Reading
 
 SMOOTHING_S = DEFAULT.residual.smoothing_s
 FILTERS = chain.Filters(0.0, 0.0, SMOOTHING_S)
@@ -220,3 +223,31 @@ def test_a_flight_with_a_failure_too_short_ones_and_another_order_are_refused(
     ):
         with pytest.raises(NotJudged, match=reason):
             calibrate.calibrate([Path(log)], calibrate.Start(airframe=file), "mine")
+
+
+@pytest.mark.parametrize(
+    ("told", "held"),
+    [
+        ({"MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15}, ("thrust_expo", "spin_min")),
+        ({"THR_MDL_FAC": 0.65}, ("thrust_expo",)),
+    ],
+)
+def test_a_curve_that_the_autopilot_was_told_is_that_of_the_file(
+    told: dict[str, float], held: tuple[str, ...], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With another one the vehicle's own link would refuse the file, and so would the reader of the log."""
+    unfiltered = {"INS_GYRO_FILTER": 0.0, "INS_ACCEL_FILTER": 0.0}
+    log = log_flight(Flight(vehicles.load("octo-x"), seconds=26.0).rows(rng), unfiltered | told, motors=8)
+
+    def read(vehicle: Vehicle) -> Reading:
+        wrong = [*checks.misfits(told, vehicle), *filter(None, [outputs.contradiction(told, vehicle)])]
+        if wrong:
+            raise NotJudged("; ".join(wrong))
+        return log.read(vehicle)
+
+    monkeypatch.setattr(calibrate, "flights", lambda path: [replace(log, read=read)])
+    found = calibrate.calibrate([Path("whole")], calibrate.Start(airframe="octo-x"), "mine")
+    command = tomllib.loads(found.text)["command"]
+    start = vehicles.load("octo-x").command
+    assert [command[key] for key in held] == [getattr(start, key) for key in held]
+    assert not {f"command.{key}" for key in held} & {number.key for number in found.numbers}
