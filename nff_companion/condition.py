@@ -55,6 +55,8 @@ class Reason(Enum):
     SILENT = (34, "{} does not answer: observing")
     APPLET_MOTORS = (34, "the applet flies {}: install it again")
     JOURNAL = (35, "{}: nothing may be changed; observing")
+    WRONG_FILE = (32, "wrong airframe file: {}")
+    UNCONFIRMED = (37, "observing: airframe file not yet confirmed")
     NO_MATRIX_TAKEN = (36, "FRAME_CLASS is not 17: no matrix can be loaded; set it, or use override mode")
     # What was decided cannot be put into force.
     NO_LIFT = (40, "the motors left cannot carry the weight: LAND")
@@ -83,6 +85,9 @@ class Reason(Enum):
     TABLES_DIFFER = (71, "{} tables on the card are not this airframe file's")
     SECOND_VEHICLE = (70, "system {} is heard too")
     LATER_TWIN = (70, "another companion is heard ({})")
+    HELD_BACK = (70, "motor {} lost, or the airframe file is wrong")
+    FILE_CONFIRMED = (71, "this flight confirms the airframe file")
+    FILE_OFF = (72, "airframe file: {}")
     SPEED_SENSOR = (71, "motor {} pulls but reads no speed")
     SLOW_STREAM = (71, "{} needed")
     STILL_CHANGED = (70, "parameters are still changed: {}")

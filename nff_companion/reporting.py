@@ -47,6 +47,23 @@ class Moment:
     adapter: Adapter | None
 
 
+def fit_document(output: Output) -> dict[str, Any]:
+    """Whether the airframe file fits the vehicle that flies; null: not known."""
+    fit, seen = output.fit, output.fit.seen
+    factors = dict(zip(AXES, (seen.thrust, *seen.turns), strict=True))
+    explained = zip(AXES[1:], seen.explained, strict=True)
+    return {
+        "verdict": fit.verdict.value,
+        "trusted": output.trusted,
+        "text": fit.text,
+        "seconds": round(seen.seconds, 1),
+        "over_file": {axis: None if f is None else [round(f.low, 3), round(f.high, 3)] for axis, f in factors.items()},
+        "explained": {axis: round(share, 3) for axis, share in explained},
+        "motors_later_s": None if seen.later_s is None else round(seen.later_s, 4),
+        "order_margin": round(seen.margin, 1),
+    }
+
+
 @dataclass(slots=True)
 class Reporter:
     """Collects counters and durations; makes messages and the document of a moment."""
@@ -183,6 +200,7 @@ class Reporter:
                 "sighted": None if network is None or estimate is None else estimate.features is not None,
                 "residual_explained": None if phi_a is None else dict(zip(AXES, phi_a, strict=True)),
             },
+            "airframe_fit": fit_document(output),
             "rate_hz": round(self.rate_hz, 1),
             "built_for_hz": round(self.built_for_hz, 1),
             "step_us": round(self.step_us, 1),

@@ -405,7 +405,7 @@ class Session:
             return
         self.reporter.slow_streams = {} if self._lost else self._link.slow_streams(now_s)
         self._send_all(self._voice.slow_streams(self.reporter.slow_streams, now_s))
-        notes = [*self._link.notes(now_s), *adapter.condition(now_s).notes]
+        notes = [*self._link.notes(now_s), *adapter.condition(now_s).notes, *self.output.notes]
         notes += [Statement(Reason.SPEED_SENSOR, str(m)) for m in self._companion.speed_faults(self.state)]
         self._send_all(self._voice.notes(notes, now_s))
 

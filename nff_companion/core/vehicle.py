@@ -55,7 +55,7 @@ class Vehicle:
 
     def __init__(self, data: AirframeFile) -> None:
         self.name = data.airframe.name
-        self.network = data.airframe.network
+        self.network, self.confirmed = data.airframe.network, data.airframe.confirmed
         self.mass_kg = data.airframe.mass_kg
         self.inertia_kg_m2 = np.array(data.airframe.inertia_kg_m2)
         self.motor, self.command, self.telemetry, self.log = data.motor, data.command, data.telemetry, data.log

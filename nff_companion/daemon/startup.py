@@ -27,7 +27,8 @@ def prepare(
     instance = 1 + secrets.randbelow(0xFFFF)
     meeting = Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method, instance=instance)
     network = basis_network.for_vehicle(vehicle, config.vehicle.network, config.tuning.network)
-    companion = Companion(vehicle, link.rate_hz, config.tuning, allocation=method, network=network)
+    confirmed = config.companion.confirmed or bool(vehicle.confirmed)
+    companion = Companion(vehicle, link.rate_hz, config.tuning, allocation=method, network=network, confirmed=confirmed)
     options = SessionOptions(
         mode=MODES[config.companion.mode] if act else MODES["observe"],
         rate_hz=link.rate_hz,

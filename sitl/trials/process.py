@@ -60,7 +60,7 @@ def config_text(
     return (
         f'[link]\nendpoint = "{endpoint}"\nrate_hz = {rate_hz}\n\n'
         f'[vehicle]\nairframe = "{airframe}"\n{ratio}\n'
-        f'[companion]\nmode = "{mode}"\nstatus_socket = "{socket}"\n'
+        f'[companion]\nmode = "{mode}"\nconfirmed = true\nstatus_socket = "{socket}"\n'
         f"{folder}"
     )
 

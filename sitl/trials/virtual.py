@@ -50,6 +50,7 @@ class TrialOptions:
     allocation: str = "trim"
     network: str = "airframe"
     parts: Parts = FLOWN
+    confirmed: bool = True  # the airframe file is the plant's own
 
 
 @dataclass(frozen=True)
@@ -185,9 +186,16 @@ class VirtualFlight:
                 plans=None if workshop is None else workshop.plans,
             )
             meeting.alter = alter
-            network = basis_network.for_vehicle(model, options.network)
+            # By its name: a plant of another thrust is flown with the network of its airframe all the same.
+            named = (model.network or "none") if options.network == "airframe" else options.network
             companion = Companion(
-                model, rate, options.tuning, allocation=options.allocation, network=network, parts=options.parts
+                model,
+                rate,
+                options.tuning,
+                allocation=options.allocation,
+                network=basis_network.for_vehicle(model, named),
+                parts=options.parts,
+                confirmed=options.confirmed,
             )
             session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
             card = None if workshop is None else workshop.card
