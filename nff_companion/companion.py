@@ -232,9 +232,10 @@ class Companion:
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
             why = first(why, condition.samples) or why
             fault = state.fault and phase.flying
-            state = replace(
-                state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=self._fit.paused(state.fit)
-            )
+            fit = self._fit.paused(state.fit)
+            if self._phase.aloft(phase, sample, command) and not state.failed.any():
+                fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
+            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
             return self._said(state, condition, time_s)
         try:
             estimating, estimate = self._estimated(state, sample, command, gap)

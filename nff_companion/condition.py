@@ -39,6 +39,7 @@ class Reason(Enum):
     TIME_JUMP = (12, "time jumped by {} s")
     ESTIMATOR = (12, "estimator: {}")
     RATE = (12, "samples at {} Hz: observing")
+    WRONG_FILE = (12, "wrong airframe file: {}")
     NOT_FLYING = (13, "not flying")
     STARTING = (13, "starting")
     RECOVERING = (14, "recovering")
@@ -55,7 +56,6 @@ class Reason(Enum):
     SILENT = (34, "{} does not answer: observing")
     APPLET_MOTORS = (34, "the applet flies {}: install it again")
     JOURNAL = (35, "{}: nothing may be changed; observing")
-    WRONG_FILE = (32, "wrong airframe file: {}")
     UNCONFIRMED = (37, "observing: airframe file not yet confirmed")
     NO_MATRIX_TAKEN = (36, "FRAME_CLASS is not 17: no matrix can be loaded; set it, or use override mode")
     # What was decided cannot be put into force.

@@ -61,6 +61,7 @@ def fit_document(output: Output) -> dict[str, Any]:
         "explained": {axis: round(share, 3) for axis, share in explained},
         "motors_later_s": None if seen.later_s is None else round(seen.later_s, 4),
         "order_margin": round(seen.margin, 1),
+        "order_misfit": round(seen.misfit, 1),
     }
 
 

@@ -56,7 +56,8 @@ class Seen:
     order: str = ""  # the likeliest, in words; empty: the file's
     margin: float = 0.0  # chi squared from the file's order to the likeliest other; below 0: that one is likelier
     ambiguous: bool = False  # another wrong order is nearly as likely as the likeliest one
-    excess: float = 0.0  # chi squared of the file's order
+    misfit: float = 0.0  # chi squared of the file's order
+    least_misfit: float = 0.0  # and of the likeliest other
 
 
 class Fit(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,11 +93,11 @@ def judged(seen: Seen, tuning: FitTuning) -> Fit:
 def _wrong(seen: Seen, tuning: FitTuning) -> Iterator[tuple[str, str]]:
     """What no vehicle of this file does, the plainest first."""
     if seen.margin <= -tuning.order_margin:
-        if seen.ambiguous:
-            yield "motors in another order", "the motors are in another order, or spin otherwise, than the file says"
+        if seen.ambiguous or seen.least_misfit > tuning.misfit_max:
+            yield "motors in another order", "the motors are in another order, or of another frame, than the file says"
         else:
             yield seen.order, f"{seen.order}, as the motion shows"
-    elif seen.excess >= tuning.order_excess:
+    elif seen.misfit > tuning.misfit_wrong:
         yield "not this frame", "no order of this file's motors moves as this vehicle does: another frame"
     else:
         for axis, factor in zip(TURNS, seen.turns, strict=True):
@@ -142,6 +143,8 @@ def _open(seen: Seen, tuning: FitTuning) -> Iterator[str]:
         yield f"too little {', '.join(unseen)} flown"
     elif seen.margin < tuning.order_margin:
         yield "too little flown to tell the motors' order"
+    elif seen.misfit > tuning.misfit_max:
+        yield "motors do not quite share as the file says"
 
 
 def _numbers(seen: Seen) -> str:

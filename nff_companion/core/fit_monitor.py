@@ -1,12 +1,12 @@
 """Does the airframe file fit the vehicle that flies? From the motion and the thrusts behind the residual's chain.
 
-Three questions, each asked of what a healthy flight shows, none of the air's steady pushes:
+Four questions, each asked of what a healthy flight shows, none of the air's steady pushes:
 
   thrust  the mean upward specific force, over what the file makes of the mean thrusts
-  order   A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle flies
-          well: the thrusts w follow the angular accelerations A with just those shares, S = (A A')^-1 A w'. They are
-          compared with the file's rows, with two motors swapped, and with spins reversed, weighed by how well they are
-          known: the covariance of S is that of what A does not explain of w, over the independent looks
+  order   A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle
+          flies well: the thrusts w follow the angular accelerations A with just those shares, S = (A A')^-1 A w'.
+          They are compared with the file's rows, with two motors swapped, spins reversed or the nose elsewhere,
+          weighed by how well they are known: the covariance of S is that of what A does not explain of w, over the independent looks
   gains   A = g B0 w - d r, forward and backward; r, the body rates, take what the air brakes. The truth lies between
           the two: the forward one is too small by what the air moves, the backward one too large by it
   lag     the same with the derivative of B0 w: motors that answer later than the file says
@@ -29,7 +29,7 @@ from nff_companion.core.fit import NOTHING, Factor, Fit, FitVerdict, Seen, judge
 from nff_companion.core.motor_order import orders
 from nff_companion.core.residual import ResidualState
 from nff_companion.core.tuning import FitTuning
-from nff_companion.core.vehicle import THRUST, YAW, Vehicle
+from nff_companion.core.vehicle import THRUST, Vehicle
 
 _AXES = 3  # of turning: what is gathered begins with as many accelerations, then rates, then upward force, then thrusts
 _UP = 2 * _AXES
@@ -67,7 +67,7 @@ class FitMonitor:
         nominal = vehicle.acceleration_effectiveness
         self._lift, self._rows = nominal[THRUST], nominal[1:]
         self._derivative = self._rows / self._look_s
-        self._orders = orders(self._rows, YAW - 1)
+        self._orders = orders(self._rows)
         self._others = np.array([order.rows for order in self._orders])  # (orders, 3, m)
         self._width = _HEAD + vehicle.motors
 
@@ -101,6 +101,21 @@ class FitMonitor:
             slow=slow,
             fast=fast,
             sums=self._keep * state.sums + band[:, None] * band,
+            total=self._keep * state.total + now,
+            count=self._keep * state.count + 1.0,
+            looks=state.looks + 1,
+        )
+        return self._judged(state) if state.looks >= self._every else state
+
+    def lifted(self, state: FitState, up_m_s2: float, thrust: NDArray[np.float64]) -> FitState:
+        """One sample of a vehicle that is in the air, by less ``thrust`` (m,) than could carry the file's."""
+        if state.wait:
+            return replace(state, wait=state.wait - 1)
+        now = np.concatenate((np.zeros(_UP), [up_m_s2], thrust))
+        state = replace(
+            self.paused(state),
+            wait=self._skip,
+            sums=self._keep * state.sums,
             total=self._keep * state.total + now,
             count=self._keep * state.count + 1.0,
             looks=state.looks + 1,
@@ -141,7 +156,8 @@ class FitMonitor:
             order=self._orders[other].text if chi[other] < chi[0] else "",
             margin=float(chi[other] - chi[0]),
             ambiguous=bool(wrong[1] - wrong[0] < 0.5 * o.order_margin),
-            excess=float(chi[0]),
+            misfit=float(chi[0]),
+            least_misfit=float(chi[other]),
         )
 
     def _turn(self, sums: NDArray[np.float64], axis: int) -> tuple[Factor | None, float, float]:

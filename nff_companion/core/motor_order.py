@@ -1,38 +1,46 @@
-"""Other orders of an airframe's motors: two swapped, some turning the other way. One of them may be what flies."""
+"""Other orders of an airframe's motors: two swapped, some turning the other way, the nose elsewhere. One may be what flies.
+
+Rows are of roll, pitch and yaw: of the effectiveness matrix, in any units.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+_ROLL, _PITCH, _YAW = range(3)
+_TURNS_DEG = (22.5, -22.5, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # between frames of the firmwares
+
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """``rows`` (k, m) of the effectiveness matrix after a change: motors (from 1) that are swapped, or turn the other
-    way."""
+    """``rows`` (3, m) after a change: motors (from 1) that are swapped, or turn the other way, or the frame turned
+    clockwise."""
 
     rows: NDArray[np.float64]
     swapped: tuple[int, int] | None = None
     reversed: tuple[int, ...] = ()
+    turned_deg: float = 0.0
 
     @property
     def text(self) -> str:
         """In a few words; empty: nothing is changed."""
         if self.swapped:
             return f"motors {self.swapped[0]}, {self.swapped[1]} swapped"
+        if self.turned_deg:
+            return f"the nose is {abs(self.turned_deg):g} deg elsewhere"
         if len(self.reversed) == self.rows.shape[1]:
             return "all spins reversed"
         return "".join(f"motor {motor} spins the other way" for motor in self.reversed)
 
 
-def orders(rows: NDArray[np.float64], yaw: int) -> list[Order]:
-    """The file's own first; then every two motors swapped that are not alike, every motor reversed, all of them.
-
-    ``rows`` (k, m); ``yaw``: which of them changes its sign where a motor turns the other way.
-    """
+def orders(rows: NDArray[np.float64]) -> list[Order]:
+    """The own one first; then every two motors swapped that are not alike, every motor reversed, all of them, and the
+    frame turned."""
     motors = rows.shape[1]
     out = [Order(rows)]
     for i, k in combinations(range(motors), 2):
@@ -42,10 +50,18 @@ def orders(rows: NDArray[np.float64], yaw: int) -> list[Order]:
         places[[i, k]] = k, i
         out.append(Order(rows[:, places], swapped=(i + 1, k + 1)))
     everyone = tuple(range(1, motors + 1))
-    return [*out, *(_reversed(rows, yaw, (motor,)) for motor in everyone), _reversed(rows, yaw, everyone)]
+    out += [_reversed(rows, (motor,)) for motor in everyone]
+    return [*out, _reversed(rows, everyone), *(_turned(rows, angle) for angle in _TURNS_DEG)]
 
 
-def _reversed(rows: NDArray[np.float64], yaw: int, motors: tuple[int, ...]) -> Order:
+def _reversed(rows: NDArray[np.float64], motors: tuple[int, ...]) -> Order:
     turned, index = rows.copy(), np.array(motors) - 1
-    turned[yaw, index] = -turned[yaw, index]
+    turned[_YAW, index] = -turned[_YAW, index]
     return Order(turned, reversed=motors)
+
+
+def _turned(rows: NDArray[np.float64], angle_deg: float) -> Order:
+    level = rows[:_YAW] / np.sqrt(np.mean(rows[:_YAW] ** 2, axis=1, keepdims=True))  # without the moments of inertia
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    roll, pitch = c * level[_ROLL] - s * level[_PITCH], s * level[_ROLL] + c * level[_PITCH]
+    return Order(np.stack([roll, pitch, rows[_YAW]]), turned_deg=angle_deg)

@@ -74,10 +74,7 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = "observe"
     confirmed: Annotated[
         bool,
-        about(
-            "",
-            "the airframe file is this vehicle's: act at once; false: when the file says so, or a flight has shown it",
-        ),
+        about("", "the airframe file is this vehicle's: act at once; else when it says so, or a flight shows it"),
     ] = False
     allocation: Annotated[
         Literal["pinv", "mca", "kim", "printed", "trim"], about("", "method of allocation; trim is the one that flies")

@@ -51,6 +51,7 @@ class TrialOptions:
     network: str = "airframe"
     parts: Parts = FLOWN
     confirmed: bool = True  # the airframe file is the plant's own
+    airframe: str = ""  # of this companion; empty: the flight's
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,9 @@ class VirtualFlight:
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
         rate = AUTOPILOT_RATE_HZ / max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
         self.companions: list[TrialCompanion] = []
+        flown = model
         for index, options in companions.items():
+            model = vehicle_model.load(options.airframe) if options.airframe else flown
             meeting = _TrialMeeting(
                 model,
                 "nff" if workshop is None else "ardupilot",
@@ -186,8 +189,9 @@ class VirtualFlight:
                 plans=None if workshop is None else workshop.plans,
             )
             meeting.alter = alter
-            # By its name: a plant of another thrust is flown with the network of its airframe all the same.
-            named = (model.network or "none") if options.network == "airframe" else options.network
+            named = options.network
+            if named == "airframe" and not options.airframe:
+                named = model.network or "none"  # by its name: also where the trial has changed the thrust
             companion = Companion(
                 model,
                 rate,

@@ -35,8 +35,11 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     order_margin: Annotated[
         float, span(5.0, 500.0, "", "chi squared by which one order must be likelier: measured 30 to 130 after a turn")
     ] = 20.0
-    order_excess: Annotated[
-        float, span(50.0, 5000.0, "", "chi squared of an order that is none: measured at most 83 where it is right")
+    misfit_max: Annotated[
+        float, span(20.0, 5000.0, "", "chi squared of an order that fits: measured at most 83, and 50 after 10 s")
+    ] = 120.0
+    misfit_wrong: Annotated[
+        float, span(50.0, 5000.0, "", "chi squared of an order that does not, though no other is known to fit better")
     ] = 250.0
     explained_min: Annotated[
         float, span(0.1, 0.99, "", "share of an axis' motion that the commands explain, for its gain to be known")
