@@ -6,7 +6,8 @@ Four questions, each asked of what a healthy flight shows, none of the air's ste
   order   A mixer gives each motor shares of the torques that it wants, and what it wants it gets where the vehicle
           flies well: the thrusts w follow the angular accelerations A with just those shares, S = (A A')^-1 A w'.
           They are compared with the file's rows, with two motors swapped, spins reversed or the nose elsewhere,
-          weighed by how well they are known: the covariance of S is that of what A does not explain of w, over the independent looks
+          weighed by how well they are known: the covariance of S is that of what A does not explain of w, over the
+          independent looks
   gains   A = g B0 w - d r, forward and backward; r, the body rates, take what the air brakes. The truth lies between
           the two: the forward one is too small by what the air moves, the backward one too large by it
   lag     the same with the derivative of B0 w: motors that answer later than the file says

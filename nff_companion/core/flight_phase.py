@@ -63,7 +63,7 @@ class FlightPhase:
         )
 
     def aloft(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> bool:
-        """In the air, by the autopilot's word or its height, though the ``thrust`` (m,) would not carry this airframe."""
+        """In the air, by the autopilot's word or its height, though ``thrust`` (m,) would not carry this airframe."""
         if state.flying or state.hit or not sample.armed:
             return False
         share = float(thrust.sum()) / len(thrust) / self._hover

@@ -1,5 +1,6 @@
-"""Other orders of an airframe's motors: two swapped, some turning the other way, the nose elsewhere. One may be what flies.
+"""Other orders of an airframe's motors: two swapped, some turning the other way, the nose elsewhere.
 
+One of them may be what flies.
 Rows are of roll, pitch and yaw: of the effectiveness matrix, in any units.
 """
 
@@ -13,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ROLL, _PITCH, _YAW = range(3)
-_TURNS_DEG = (22.5, -22.5, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 90.0, -90.0, 180.0)  # between frames of the firmwares
+_TURNS_DEG = (
+    25.0,
+    -25.0,
+    45.0,
+    -45.0,
+    60.0,
+    -60.0,
+    90.0,
+    -90.0,
+    180.0,
+)  # 22.5 and 30 are between frames of the firmwares
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +43,7 @@ class Order:
         if self.swapped:
             return f"motors {self.swapped[0]}, {self.swapped[1]} swapped"
         if self.turned_deg:
-            return f"the nose is {abs(self.turned_deg):g} deg elsewhere"
+            return f"nose about {abs(self.turned_deg):g} deg elsewhere"
         if len(self.reversed) == self.rows.shape[1]:
             return "all spins reversed"
         return "".join(f"motor {motor} spins the other way" for motor in self.reversed)
