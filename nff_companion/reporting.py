@@ -14,6 +14,7 @@ from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, Statement
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.decision import Event
+from nff_companion.core.fit import Fit
 from nff_companion.core.vehicle import AXES, Vehicle
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.verdict import numbers
@@ -47,14 +48,13 @@ class Moment:
     adapter: Adapter | None
 
 
-def fit_document(output: Output) -> dict[str, Any]:
+def fit_numbers(fit: Fit) -> dict[str, Any]:
     """Whether the airframe file fits the vehicle that flies; null: not known."""
-    fit, seen = output.fit, output.fit.seen
+    seen = fit.seen
     factors = dict(zip(AXES, (seen.thrust, *seen.turns), strict=True))
     explained = zip(AXES[1:], seen.explained, strict=True)
     return {
         "verdict": fit.verdict.value,
-        "trusted": output.trusted,
         "text": fit.text,
         "seconds": round(seen.seconds, 1),
         "over_file": {axis: None if f is None else [round(f.low, 3), round(f.high, 3)] for axis, f in factors.items()},
@@ -201,7 +201,7 @@ class Reporter:
                 "sighted": None if network is None or estimate is None else estimate.features is not None,
                 "residual_explained": None if phi_a is None else dict(zip(AXES, phi_a, strict=True)),
             },
-            "airframe_fit": fit_document(output),
+            "airframe_fit": {"trusted": output.trusted, **fit_numbers(output.fit)},
             "rate_hz": round(self.rate_hz, 1),
             "built_for_hz": round(self.built_for_hz, 1),
             "step_us": round(self.step_us, 1),

@@ -1,7 +1,6 @@
 """Other orders of an airframe's motors: two swapped, some turning the other way, the nose elsewhere.
 
-One of them may be what flies.
-Rows are of roll, pitch and yaw: of the effectiveness matrix, in any units.
+One of them may be what flies. Rows are of roll, pitch and yaw: of the effectiveness matrix, in any units.
 """
 
 from __future__ import annotations
@@ -14,17 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ROLL, _PITCH, _YAW = range(3)
-_TURNS_DEG = (
-    25.0,
-    -25.0,
-    45.0,
-    -45.0,
-    60.0,
-    -60.0,
-    90.0,
-    -90.0,
-    180.0,
-)  # 22.5 and 30 are between frames of the firmwares
+# What is between frames of the firmwares: 22.5 and 30 degrees are much alike, and stand for 25.
+_TURNS_DEG = (25.0, -25.0, 45.0, -45.0, 60.0, -60.0, 90.0, -90.0, 180.0)
 
 
 @dataclass(frozen=True, slots=True)

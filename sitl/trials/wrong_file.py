@@ -7,6 +7,8 @@ that was altered, asks to allocate, and has nobody's word for the file.
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
 import tomllib
 from collections import Counter
 from collections.abc import Iterable
@@ -29,6 +31,7 @@ SECONDS = 20.0
 HEIGHT_M = 10.0
 WINDS_M_S = (0.0, 2.0, 4.0)
 _FAULT_S = 6.0  # of the flights with a failure
+_FLEET = 25  # vehicles flown together
 _MODEL_ERROR = 0.1  # of an estimated file
 _YAW_RATE_RAD_S = math.radians(45.0)
 # Numbers of a file that may each be wrong by themselves: table and keys.
@@ -225,3 +228,34 @@ def summary(rows: Iterable[dict[str, Any]]) -> dict[str, dict[str, int]]:
         counts["fits"] += row["fits_s"] is not None
         counts["survived"] += row["survived"]
     return {kind: dict(counts) for kind, counts in table.items()}
+
+
+def exception(row: dict[str, Any]) -> str:
+    """What is not as it should be; empty: nothing is."""
+    contradicted, told = row["contradicted_s"] is not None, bool(row["off"]) or row["contradicted_s"] is not None
+    failed = row["case"].split()[-1] if row["kind"] == "failure" else ""
+    if any(str(motor) != failed for _, motor in row["declared"]):
+        return f"declared {row['declared']}"
+    if row["kind"] in NOT_CONTRADICTED:
+        return "contradicted" if contradicted else ""
+    if row["acted"]:
+        return "acted upon"
+    if row["kind"] in NUMBERS:
+        return "" if told else "off, and said by its numbers alone"
+    return "" if contradicted else "not found"
+
+
+def run(airframe: str, count: int, seed: int, workers: int | None = None) -> dict[str, Any]:
+    """``count`` drawn cases; the document that ``nff survey --wrong-file`` prints."""
+    cases = draw(count, airframe, np.random.default_rng(seed))
+    shares = [cases[k : k + _FLEET] for k in range(0, count, _FLEET)]
+    jobs = [(airframe, share, seed + _FLEET * k) for k, share in enumerate(shares)]
+    processes = min(workers or os.cpu_count() or 1, len(jobs))
+    if processes == 1:
+        parts = [fly(*job) for job in jobs]
+    else:
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+            parts = pool.starmap(fly, jobs, chunksize=1)
+    rows = [row for part in parts for row in part]
+    exceptions = [{**row, "why": exception(row)} for row in rows if exception(row)]
+    return {"airframe": airframe, "seed": seed, "flights": rows, "exceptions": exceptions, "summary": summary(rows)}
