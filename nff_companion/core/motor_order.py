@@ -12,10 +12,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-_ROLL, _PITCH, _YAW = range(3)
-# What is between frames of the firmwares: 22.5 and 30 degrees are much alike, and stand for 25.
-_TURNS_DEG = (25.0, -25.0, 45.0, -45.0, 60.0, -60.0, 90.0, -90.0, 180.0)
-
 
 @dataclass(frozen=True, slots=True)
 class Order:
@@ -52,17 +48,20 @@ def orders(rows: NDArray[np.float64]) -> list[Order]:
         out.append(Order(rows[:, places], swapped=(i + 1, k + 1)))
     everyone = tuple(range(1, motors + 1))
     out += [_reversed(rows, (motor,)) for motor in everyone]
-    return [*out, _reversed(rows, everyone), *(_turned(rows, angle) for angle in _TURNS_DEG)]
+    # What is between frames of the firmwares: 22.5 and 30 degrees are much alike, and stand for 25.
+    angles = (25.0, -25.0, 45.0, -45.0, 60.0, -60.0, 90.0, -90.0, 180.0)
+    return [*out, _reversed(rows, everyone), *(_turned(rows, angle) for angle in angles)]
 
 
 def _reversed(rows: NDArray[np.float64], motors: tuple[int, ...]) -> Order:
-    turned, index = rows.copy(), np.array(motors) - 1
-    turned[_YAW, index] = -turned[_YAW, index]
-    return Order(turned, reversed=motors)
+    roll, pitch, yaw = rows.copy()
+    index = np.array(motors) - 1
+    yaw[index] = -yaw[index]
+    return Order(np.stack([roll, pitch, yaw]), reversed=motors)
 
 
 def _turned(rows: NDArray[np.float64], angle_deg: float) -> Order:
-    level = rows[:_YAW] / np.sqrt(np.mean(rows[:_YAW] ** 2, axis=1, keepdims=True))  # without the moments of inertia
+    # Without the moments of inertia, which differ about the two axes.
+    roll, pitch, yaw = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    roll, pitch = c * level[_ROLL] - s * level[_PITCH], s * level[_ROLL] + c * level[_PITCH]
-    return Order(np.stack([roll, pitch, rows[_YAW]]), turned_deg=angle_deg)
+    return Order(np.stack([c * roll - s * pitch, s * roll + c * pitch, yaw]), turned_deg=angle_deg)

@@ -23,8 +23,8 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     fast_hz: Annotated[float, span(2.0, 50.0, "Hz", "above it the gyro's noise is larger than the motion")] = 6.0
     settle_s: Annotated[float, span(0.1, 10.0, "s", "after a start, until the filters have forgotten it")] = 0.5
     memory_s: Annotated[float, span(5.0, 600.0, "s", "time constant of forgetting")] = 20.0
-    judge_s: Annotated[float, span(0.1, 10.0, "s", "between two judgements")] = 0.5
-    alike: Annotated[int, span(1, 20, "judgements", "in a row, to be believed")] = 3
+    judge_s: Annotated[float, span(0.1, 10.0, "s", "between two judgements")] = 1.0
+    alike: Annotated[int, span(1, 20, "judgements", "in a row, to be believed")] = 2
     settled_s: Annotated[float, span(0.5, 60.0, "s", "of flight, for factors: climbs and gusts average out")] = 3.0
     independent_hz: Annotated[
         float, span(0.5, 50.0, "Hz", "independent looks at the motion: of the bandwidth, and the file's own misfit")
@@ -41,6 +41,9 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     misfit_wrong: Annotated[
         float, span(50.0, 5000.0, "", "chi squared of an order that does not, though no other is known to fit better")
     ] = 250.0
+    ridge: Annotated[
+        float, span(1e-12, 1e-3, "", "of the energies, added where sums are inverted: signals may go together")
+    ] = 1e-6
     explained_min: Annotated[
         float, span(0.1, 0.99, "", "share of an axis' motion that the commands explain, for its gain to be known")
     ] = 0.6
