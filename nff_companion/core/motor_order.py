@@ -29,10 +29,10 @@ class Order:
         if self.swapped:
             return f"motors {self.swapped[0]}, {self.swapped[1]} swapped"
         if self.turned_deg:
-            return f"nose about {abs(self.turned_deg):g} deg elsewhere"
+            return f"nose {abs(self.turned_deg):g} deg elsewhere"
         if len(self.reversed) == self.rows.shape[1]:
             return "all spins reversed"
-        return "".join(f"motor {motor} spins the other way" for motor in self.reversed)
+        return "".join(f"motor {motor} spin reversed" for motor in self.reversed)
 
 
 def orders(rows: NDArray[np.float64]) -> list[Order]:
