@@ -132,12 +132,9 @@ def _open(seen: Seen, tuning: FitTuning) -> Iterator[str]:
     if seen.thrust is None:
         yield f"{seen.seconds:.0f} s flown"
         return
-    if seen.thrust.beyond(tuning.fits_thrust):
-        yield "thrust too far off"
-    limits = (tuning.fits_turn, tuning.fits_turn, tuning.fits_yaw)
-    for axis, factor, limit in zip(TURNS, seen.turns, limits, strict=True):
-        if factor is not None and factor.beyond(limit):
-            yield f"{axis} too far off"
+    for name, factor in (("thrust", seen.thrust), *zip(TURNS, seen.turns, strict=True)):
+        if factor is not None and factor.beyond(tuning.fits):
+            yield f"{name} too far off"
     unseen = [axis for axis, factor in zip(TURNS, seen.turns, strict=True) if factor is None]
     if unseen:
         yield f"too little {', '.join(unseen)} flown"

@@ -53,9 +53,10 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     said_turn: Annotated[
         float, span(1.02, 3.0, "", "factor of an angular acceleration, either way, that is worth saying")
     ] = 1.2
-    fits_thrust: Annotated[float, span(1.05, 3.0, "", "factor up to which the thrust of a file fits")] = 1.35
-    fits_turn: Annotated[float, span(1.05, 5.0, "", "factor up to which its roll and pitch fit")] = 1.5
-    fits_yaw: Annotated[float, span(1.05, 5.0, "", "and its yaw: torque over thrust is the worst known number")] = 1.8
+    fits: Annotated[
+        float,
+        span(1.05, 3.0, "", "factor up to which a file fits: with yaw 1.54 times its, healthy motors were declared"),
+    ] = 1.3
     wrong_thrust: Annotated[
         float, span(1.1, 5.0, "", "factor that is none of this vehicle: an estimated file is up to 1.45 off")
     ] = 1.65
