@@ -408,7 +408,9 @@ class Companion:
         if none is not None:
             no_plan = Statement(Reason.NO_PLAN, none.reason) if none.lift else Statement(Reason.NO_LIFT)
         blind = state.blind if state.mode == Mode.OVERRIDE and mode == Mode.ALLOCATE else None
-        return first(state.trouble, condition.command, state.doubt, allocate, no_plan, blind)
+        # What the autopilot itself says stands in the way is plainer than what the motion says.
+        doubt = state.doubt if condition.command is None else None
+        return first(state.trouble, condition.command, doubt, allocate, no_plan, blind)
 
 
 def _gap(state: CompanionState, sample: Sample) -> float | None:
