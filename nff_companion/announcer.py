@@ -22,6 +22,8 @@ _SAID = {
     Reason.AMBIGUOUS: _ERROR,
     Reason.RATE: _ERROR,
     Reason.CARD_DIFFERS: _ERROR,
+    Reason.WRONG_FILE: _ERROR,
+    Reason.UNCONFIRMED: _WARNING,
     Reason.TELEMETRY_STOPPED: _ERROR,
 }
 _LENGTH = 50

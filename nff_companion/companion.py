@@ -6,6 +6,9 @@ virtual time. ``step`` is the only owner of what is believed; states are passed 
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -20,6 +23,7 @@ from nff_companion.control.override import OverrideLoop, OverrideState
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion
 from nff_companion.core.estimator import Estimator
+from nff_companion.core.fit_monitor import FitMonitor
 from nff_companion.core.flight_phase import FlightPhase
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
@@ -41,10 +45,12 @@ class Companion:
         allocation: str = "trim",
         network: Basis | None = None,
         parts: Parts = FLOWN,
+        confirmed: bool = True,
     ) -> None:
-        """``network`` None: a constant basis. Raises ConfigError for an unknown allocation method."""
+        """``network`` None: a constant basis. ``confirmed`` False: nobody has said that ``vehicle`` is the one that
+        flies; until a flight shows it nothing is declared. Raises ConfigError for an unknown allocation method."""
         self.vehicle, self.rate_hz, self.network, self.parts = vehicle, rate_hz, network, parts
-        self.tuning, self.allocation = tuning or Tuning(), allocation
+        self.tuning, self.allocation, self.confirmed = tuning or Tuning(), allocation, confirmed
         o = self.tuning
         self._dt_s, self._composite = 1.0 / rate_hz, self.tuning.adaptation.composite > 0.0
         basis = network if parts.learn else None
@@ -58,6 +64,7 @@ class Companion:
         self._loop = OverrideLoop(vehicle, o.law, o.override)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
+        self._fit = FitMonitor(vehicle, self._dt_s, o.fit)
         self._nothing = Knowledge.none(vehicle.axes)
         self._none = read_only(np.zeros(vehicle.axes))
         self._ones = read_only(np.ones(vehicle.motors))
@@ -79,6 +86,7 @@ class Companion:
             allocation=self.allocation,
             network=self.network,
             parts=self.parts,
+            confirmed=self.confirmed,
         )
 
     def start(self, mode: Mode) -> CompanionState:
@@ -110,6 +118,8 @@ class Companion:
             speeds=RotorSpeedState.start(m),
             knowledge=self._nothing,
             adapted=None if self._adaptation is None else self._adaptation.start(),
+            fit=self._fit.start(),
+            confirmed=self.confirmed,
         )
 
     # -- the step -----------------------------------------------------------------------------------------------
@@ -189,6 +199,8 @@ class Companion:
     def _obeyed(self, state: CompanionState, orders: Orders) -> CompanionState:
         """The operator's orders, and what a restart takes over: the only place where they are applied."""
         failed = state.failed
+        if orders.adopt:  # only a file that was confirmed has declared them
+            state = replace(state, confirmed=True)
         if orders.lift or orders.adopt is not None:
             failed = np.array(failed)
             if orders.adopt is not None:
@@ -220,13 +232,19 @@ class Companion:
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
             why = first(why, condition.samples) or why
             fault = state.fault and phase.flying
-            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault)
+            fit = self._fit.paused(state.fit)
+            if self._phase.aloft(phase, sample, command) and not state.failed.any():
+                fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
+            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
             return self._said(state, condition, time_s)
         try:
             estimating, estimate = self._estimated(state, sample, command, gap)
         except (SolverError, np.linalg.LinAlgError) as error:
             why = Statement(Reason.ESTIMATOR, str(error))
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
+        state = self._fitted(state, estimating, override)
+        if not state.trusted:
+            state, estimate = self._held_back(state, estimate, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         adapted = state.adapted
@@ -236,7 +254,7 @@ class Companion:
             state,
             estimate=estimating,
             failed=failed,
-            planning=self._planner.step(state.planning, time_s, estimate),
+            planning=self._planner.step(state.planning, time_s, estimate) if state.trusted else state.planning,
             knowledge=self._known(estimate),
             adapted=adapted,
             trouble=None if recovered else Statement(Reason.RECOVERING),
@@ -267,6 +285,25 @@ class Companion:
         )
         return self._estimator.step(before, measurement)
 
+    def _fitted(
+        self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None
+    ) -> CompanionState:
+        """What the sample says of the airframe file. Outputs of our own say only what the file says itself, and once a
+        motor is declared the vehicle is no longer the one that the file describes."""
+        if override is not None or state.failed.any() or not isinstance(estimating, EstimatorState):
+            return replace(state, fit=self._fit.paused(state.fit))
+        return replace(state, fit=self._fit.step(state.fit, estimating.residual))
+
+    @staticmethod
+    def _held_back(state: CompanionState, estimate: Estimate, time_s: float) -> tuple[CompanionState, Estimate]:
+        """Nothing is declared by a file that may be another vehicle's; what would have been is remembered."""
+        motors = tuple(sorted(event.motor for event in estimate.events if event.declared))
+        if motors:
+            state = replace(state, held_back=(motors, time_s))
+        if estimate.events or estimate.failed is not state.failed:
+            estimate = dataclasses.replace(estimate, failed=state.failed, events=[])
+        return state, estimate
+
     def _known(self, estimate: Estimate) -> Knowledge:
         """What is fed forward."""
         parts, nothing = self.parts, self._nothing
@@ -290,14 +327,18 @@ class Companion:
             loop=OverrideState(),
             last_s=None,
             speeds=RotorSpeedState.start(self.vehicle.motors),
+            fit=self._fit.paused(state.fit),
             planning=self._planner.interrupted(state.planning),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
 
     def _forgotten(self, state: CompanionState) -> CompanionState:
-        """After landing and disarming the next flight starts without declarations."""
+        """After landing and disarming the next flight starts without declarations; a file that fitted is confirmed."""
         return replace(
             state,
+            fit=self._fit.start(),
+            confirmed=state.confirmed or state.fit.proven,
+            held_back=((), -math.inf),
             failed=read_only(np.zeros(self.vehicle.motors, bool)),
             planning=self._planner.forgotten(state.planning),
             adapted=None if self._adaptation is None else self._adaptation.start(),
@@ -314,7 +355,7 @@ class Companion:
     @staticmethod
     def _acting(state: CompanionState, condition: Condition) -> Mode:
         """The mode that nothing stands in the way of."""
-        if state.trouble is not None or condition.command is not None:
+        if state.trouble is not None or condition.command is not None or not state.trusted:
             return Mode.OBSERVE
         return Mode.OBSERVE if state.mode == Mode.ALLOCATE and condition.allocate is not None else state.mode
 
@@ -352,6 +393,9 @@ class Companion:
             unallocated=self._none if planning.plan is None else planning.plan.unallocated,
             rejected=planning.rejected,
             bad_samples=state.bad_samples,
+            fit=state.fit.fit,
+            trusted=state.trusted,
+            notes=state.notes(time_s),
         )
         return replace(state, last=output), output
 
@@ -364,7 +408,9 @@ class Companion:
         if none is not None:
             no_plan = Statement(Reason.NO_PLAN, none.reason) if none.lift else Statement(Reason.NO_LIFT)
         blind = state.blind if state.mode == Mode.OVERRIDE and mode == Mode.ALLOCATE else None
-        return first(state.trouble, condition.command, allocate, no_plan, blind)
+        # What the autopilot itself says stands in the way is plainer than what the motion says.
+        doubt = state.doubt if condition.command is None else None
+        return first(state.trouble, condition.command, doubt, allocate, no_plan, blind)
 
 
 def _gap(state: CompanionState, sample: Sample) -> float | None:

@@ -5,6 +5,7 @@ Structs of msgspec: replacing one field of a frozen dataclass of this size costs
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
@@ -18,6 +19,8 @@ from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideState
 from nff_companion.core.decision import Event
 from nff_companion.core.estimate import Estimate, EstimatorState
+from nff_companion.core.fit import NOTHING, Fit, FitVerdict
+from nff_companion.core.fit_monitor import FitState
 from nff_companion.core.flight_phase import FlightPhaseState
 from nff_companion.core.rotor_speed import RotorSpeedState
 
@@ -40,6 +43,9 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     unallocated: NDArray[np.float64]  # (n,)
     rejected: int  # matrices that failed the check so far
     bad_samples: int
+    fit: Fit = NOTHING  # of the airframe file to the vehicle that flies
+    trusted: bool = True  # the file is confirmed, and nothing that was flown contradicts it
+    notes: tuple[Statement, ...] = ()  # what the pilot should hear beside all that
 
     @property
     def believed(self) -> NDArray[np.float64]:
@@ -57,6 +63,7 @@ class Orders(msgspec.Struct, frozen=True, kw_only=True):
 
 
 NO_ORDERS = Orders()
+_HELD_BACK_S = 2.0  # after which a motor that was not declared is no longer spoken of
 
 
 class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -72,6 +79,9 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     speeds: RotorSpeedState
     knowledge: Knowledge
     adapted: Any = None  # of research
+    fit: FitState
+    confirmed: bool  # the airframe file is the vehicle's own, by somebody's word
+    held_back: tuple[tuple[int, ...], float] = ((), -math.inf)  # motors that would have been declared, and when last
     last_s: float | None = None  # the last good sample; None: the next one begins anew
     good_since_s: float | None = None
     # Why the samples cannot be used now.
@@ -84,3 +94,31 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def watching(self) -> bool:
         """Whether a flight is being estimated: nothing that it rests on may change now."""
         return self.estimate is not None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the airframe file may be acted upon: by somebody's word or by what was flown, and nothing contradicts
+        it."""
+        fit = self.fit
+        return fit.proven or (self.confirmed and fit.fit.verdict != FitVerdict.DOES_NOT_FIT)
+
+    @property
+    def doubt(self) -> Statement | None:
+        """Why the airframe file is not acted upon; None where it is."""
+        if self.trusted:
+            return None
+        if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
+            return Statement(Reason.WRONG_FILE, self.fit.fit.short)
+        return Statement(Reason.UNCONFIRMED)
+
+    def notes(self, time_s: float | None) -> tuple[Statement, ...]:
+        """What the pilot should hear of the airframe file at ``time_s``; None: no sample has come."""
+        fit = self.fit.fit
+        notes = [Statement(Reason.FILE_OFF, short) for short, _ in fit.differs]
+        if self.fit.proven and not self.confirmed:
+            notes.append(Statement(Reason.FILE_CONFIRMED))
+        motors, at_s = self.held_back
+        unknown = not self.trusted and fit.verdict == FitVerdict.UNKNOWN
+        if motors and unknown and time_s is not None and time_s - at_s < _HELD_BACK_S:
+            notes.append(Statement(Reason.HELD_BACK, ", ".join(map(str, motors))))
+        return tuple(notes)

@@ -14,6 +14,7 @@ from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, Statement
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.decision import Event
+from nff_companion.core.fit import Fit
 from nff_companion.core.vehicle import AXES, Vehicle
 from nff_companion.mavlink.codec import Message, dialect
 from nff_companion.verdict import numbers
@@ -45,6 +46,23 @@ class Moment:
     asked: Mode
     verdict: Statement
     adapter: Adapter | None
+
+
+def fit_numbers(fit: Fit) -> dict[str, Any]:
+    """Whether the airframe file fits the vehicle that flies; null: not known."""
+    seen = fit.seen
+    factors = dict(zip(AXES, (seen.thrust, *seen.turns), strict=True))
+    explained = zip(AXES[1:], seen.explained, strict=True)
+    return {
+        "verdict": fit.verdict.value,
+        "text": fit.text,
+        "seconds": round(seen.seconds, 1),
+        "over_file": {axis: None if f is None else [round(f.low, 3), round(f.high, 3)] for axis, f in factors.items()},
+        "explained": {axis: round(share, 3) for axis, share in explained},
+        "motors_later_s": None if seen.later_s is None else round(seen.later_s, 4),
+        "order_margin": round(seen.margin, 1),
+        "order_misfit": round(seen.misfit, 1),
+    }
 
 
 @dataclass(slots=True)
@@ -183,6 +201,7 @@ class Reporter:
                 "sighted": None if network is None or estimate is None else estimate.features is not None,
                 "residual_explained": None if phi_a is None else dict(zip(AXES, phi_a, strict=True)),
             },
+            "airframe_fit": {"trusted": output.trusted, **fit_numbers(output.fit)},
             "rate_hz": round(self.rate_hz, 1),
             "built_for_hz": round(self.built_for_hz, 1),
             "step_us": round(self.step_us, 1),

@@ -57,6 +57,7 @@ class SessionOptions:
     system: int = 0  # of the vehicle; 0: the one that is heard
     stream_timeout_s: float = 0.25
     act: bool = True
+    network_note: str = "none: a constant basis"  # why there is no network
 
 
 class Session:
@@ -171,7 +172,7 @@ class Session:
             out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
         out += self._link.findings(now_s)
         network = self._companion.network
-        out.append(Finding("network", True, "none: a constant basis" if network is None else network.label))
+        out.append(Finding("network", True, self._options.network_note if network is None else network.label))
         out += adapter.findings()
         return [*out, self._link.rates(now_s, self._companion.rate_hz)]
 
@@ -405,7 +406,7 @@ class Session:
             return
         self.reporter.slow_streams = {} if self._lost else self._link.slow_streams(now_s)
         self._send_all(self._voice.slow_streams(self.reporter.slow_streams, now_s))
-        notes = [*self._link.notes(now_s), *adapter.condition(now_s).notes]
+        notes = [*self._link.notes(now_s), *adapter.condition(now_s).notes, *self.output.notes]
         notes += [Statement(Reason.SPEED_SENSOR, str(m)) for m in self._companion.speed_faults(self.state)]
         self._send_all(self._voice.notes(notes, now_s))
 

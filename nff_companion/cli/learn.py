@@ -79,7 +79,7 @@ def train(
             lambda iteration, loss: bar.update(task, completed=iteration, description=f"training, loss {loss:.4f}"),
         )
     command = shlex.join(["nff", *sys.argv[1:]])
-    trained = trainer.basis({"airframe": vehicle.name, "command": command})
+    trained = trainer.basis({"airframe": vehicle.name, "fingerprint": vehicle.fingerprint, "command": command})
     result = score(vehicle, trained, unseen)
     trained.metadata["score"] = msgspec.to_builtins(result)
     # What was only foretold in flights that it has seen parts of is claimed of none.

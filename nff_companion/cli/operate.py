@@ -1,4 +1,4 @@
-"""``nff run``, ``status``, ``lift``, ``mode``."""
+"""``nff run``, ``status``, ``lift``, ``mode``, ``doctor``, ``check``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from nff_companion.cli.output import console, print_json, setup_logging
+from nff_companion.cli.output import console, print_json, say, setup_logging
 from nff_companion.daemon.configuration import default_status_socket
 from nff_companion.errors import EndpointError
 
@@ -58,6 +58,7 @@ def _table(state: dict[str, Any]) -> Any:
         f"unallocated {state['unallocated']}"
         + "".join(f"; {name} {s['hz']:.0f} of {s['asked_hz']:.0f} Hz" for name, s in state["slow_streams"].items())
         + "".join(f"; motor {motor}: speed sensor" for motor in state["speed_sensor_faults"])
+        + (f"; airframe file: {state['airframe_fit']['text']}" if "airframe_fit" in state else "")
     )
     return table
 
@@ -136,3 +137,29 @@ def doctor(
         found = [{"name": f.name, "ok": f.ok, "detail": f.detail} for f in findings]
         print_json({"ready": ready, "findings": found})
     raise typer.Exit(0 if ready else 1)
+
+
+def check(
+    config: Annotated[Path, typer.Option("--config", help="Configuration file (TOML).")],
+    seconds: Annotated[float, typer.Option(min=1.0, help="Of flight to look at, in s.")] = 20.0,
+    wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for the flight, in s.")] = 120.0,
+    json: Json = False,
+) -> None:
+    """Compare the airframe file with the vehicle that flies; start it before arming. Changes nothing.
+
+    Exit code 0: it fits, 1: it does not, 2: not known.
+    """
+    from nff_companion.core.fit import FitVerdict
+    from nff_companion.daemon import configuration
+    from nff_companion.daemon.fit_check import FitCheck
+    from nff_companion.reporting import Moment, fit_numbers
+
+    def said(moment: Moment) -> None:
+        say(f"{moment.verdict.text}; airframe file: {moment.output.fit.text}")
+
+    fit = FitCheck(configuration.load(config)).watch(seconds, wait, said)
+    say(f"airframe file: {fit.text}")
+    if json:
+        print_json(fit_numbers(fit))
+    codes = {FitVerdict.FITS: 0, FitVerdict.DOES_NOT_FIT: 1, FitVerdict.UNKNOWN: 2}
+    raise typer.Exit(codes[fit.verdict])

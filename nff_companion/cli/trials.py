@@ -18,6 +18,9 @@ def survey(
     singles: Annotated[bool, typer.Option("--singles", help="Every single failure (the default).")] = False,
     pairs: Annotated[bool, typer.Option("--pairs", help="Every simultaneous double failure.")] = False,
     healthy: Annotated[float, typer.Option("--healthy", help="Minutes to fly without a failure instead.")] = 0.0,
+    wrong_file: Annotated[
+        int, typer.Option("--wrong-file", min=0, help="So many flights with a wrong airframe file instead.")
+    ] = 0,
     compare: Annotated[bool, typer.Option("--compare", help="Healthy flights without the companion too.")] = False,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds for each set of failures.")] = 3,
     first_seed: Annotated[int, typer.Option(min=1, help="The seeds count from it.")] = 1,
@@ -50,6 +53,9 @@ def survey(
         raise ConfigError("--singles and --pairs exclude each other: run two surveys")
     if personality not in ("plain", "ardupilot"):
         raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
+    if wrong_file:
+        _wrong_files(wrong_file, airframe, first_seed, workers or None, json=json)
+        return
     options = surveys.SurveyOptions(
         airframe=airframe,
         personality=personality,
@@ -87,6 +93,19 @@ def survey(
         )
     for key, value in document["summary"].items():
         say(f"{key}: {value}")
+
+
+def _wrong_files(count: int, airframe: str, seed: int, workers: int | None, *, json: bool) -> None:
+    from sitl.trials import wrong_file
+
+    document = wrong_file.run(airframe, count, seed, workers)
+    if json:
+        print_json(document)
+        return
+    for flight in document["exceptions"]:
+        say(f"{flight['case']}, seed {flight['seed']}: {flight['why']}; says: {flight['says']}; {flight['text']}")
+    for kind, counts in document["summary"].items():
+        say(f"{kind:10} " + ", ".join(f"{name} {number}" for name, number in counts.items()))
 
 
 def replay(

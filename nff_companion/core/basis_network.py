@@ -170,12 +170,27 @@ def path_of(name: str) -> Path:
     return Path(str(resources.files("nff_companion") / "networks" / f"{name}.npz"))
 
 
+def left_out(vehicle: Vehicle, choice: str) -> str:
+    """Why the network that the file of ``vehicle`` names is not used: it was trained on another airframe, whose file
+    this one may be a copy of. Empty: it is used, or none was to be. Raises NetworkError."""
+    if choice != "airframe" or not vehicle.network:
+        return ""
+    trained = load(path_of(vehicle.network)).metadata
+    if trained.get("fingerprint") == vehicle.fingerprint:
+        return ""
+    whose = "with numbers that are not this file's" if trained.get("fingerprint") else "nobody knows with which numbers"
+    return (
+        f"{vehicle.network} is left out: trained on {trained.get('airframe', 'unnamed')}, {whose}; train one for this"
+        " airframe, or ask for it by name in [vehicle] network"
+    )
+
+
 def for_vehicle(vehicle: Vehicle, choice: str, tuning: NetworkTuning | None = None) -> Basis | None:
-    """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, ``none``, a shipped name or
-    a path. None: a constant basis. Raises NetworkError, also when the network breaks (6.8) with the nominal
-    allocation."""
+    """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, where it was trained on this
+    very airframe (``left_out``); ``none``; a shipped name or a path. None: a constant basis. Raises NetworkError, also
+    when the network breaks (6.8) with the nominal allocation."""
     name = vehicle.network if choice == "airframe" else "" if choice == "none" else choice
-    if not name:
+    if not name or left_out(vehicle, choice):
         return None
     basis = replace(load(path_of(name)), tuning=tuning or NetworkTuning())
     check(basis, vehicle, name)

@@ -62,6 +62,17 @@ class FlightPhase:
             idle_since_s=idle_since,
         )
 
+    def aloft(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> bool:
+        """In the air, by the autopilot's word or its height, though ``thrust`` (m,) would not carry this airframe."""
+        if state.flying or state.hit or not sample.armed:
+            return False
+        share = float(thrust.sum()) / len(thrust) / self._hover
+        if not self._tuning.ended_share < share < self._tuning.thrust_share:
+            return False
+        if sample.landed is not None or sample.position_m is None or state.ground_m is None:
+            return sample.landed is False
+        return -float(sample.position_m[2]) - state.ground_m > self._tuning.height_m
+
     def _taken_off(
         self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool
     ) -> bool:

@@ -45,6 +45,7 @@ class Metadata(msgspec.Struct, frozen=True):
     format: int
     inputs: list[Text]
     airframe: Text = "unnamed"
+    fingerprint: Text = ""  # of the airframe that it was trained on (vehicle.py); empty: not known
     minutes: Annotated[float, span(0.0, 1e6, "min", "of flight that it was trained on")] = 0.0
     data_sha256: Text = ""
     covers: list[Literal["thrust", "roll", "pitch", "yaw"]] = []

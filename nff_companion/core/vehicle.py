@@ -6,6 +6,7 @@ from index 0 in arrays. Axes of the wrench, in this order: thrust (up), roll, pi
 
 from __future__ import annotations
 
+import hashlib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -55,7 +56,7 @@ class Vehicle:
 
     def __init__(self, data: AirframeFile) -> None:
         self.name = data.airframe.name
-        self.network = data.airframe.network
+        self.network, self.confirmed = data.airframe.network, data.airframe.confirmed
         self.mass_kg = data.airframe.mass_kg
         self.inertia_kg_m2 = np.array(data.airframe.inertia_kg_m2)
         self.motor, self.command, self.telemetry, self.log = data.motor, data.command, data.telemetry, data.log
@@ -133,6 +134,20 @@ class Vehicle:
     def lag_s(self) -> tuple[float, float]:
         """Time constants up and down where one must do for all rotors: those of the middle one."""
         return float(np.median(self.rotors.time_constant_up_s)), float(np.median(self.rotors.time_constant_down_s))
+
+    @property
+    def fingerprint(self) -> str:
+        """Of what makes the motion: B0 in accelerations, lags, command table. The same to a thousandth: the same."""
+        matrix, c = self.acceleration_effectiveness, self.command
+        numbers = [
+            (matrix / np.abs(matrix).max(axis=1, keepdims=True)).ravel(),
+            np.log(np.abs(matrix).max(axis=1)),
+            10.0 * self.rotors.time_constant_up_s,
+            10.0 * self.rotors.time_constant_down_s,
+            np.array([c.thrust_expo, c.spin_min, c.spin_max, 1e-3 * c.pwm_min, 1e-3 * c.pwm_max]),
+        ]
+        rounded = np.round(np.concatenate(numbers), 3) + 0.0  # no minus nought
+        return hashlib.sha256(rounded.astype("<f8").tobytes()).hexdigest()[:16]
 
     def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust fraction u of motor outputs in 0..1 (command to thrust curve)."""

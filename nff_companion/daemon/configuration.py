@@ -72,6 +72,10 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mode: Annotated[
         ModeName, about("", "first flights observe; declarations and matrices, or motor outputs, are asked for by name")
     ] = "observe"
+    confirmed: Annotated[
+        bool,
+        about("", "the airframe file is this vehicle's: act at once; else when it says so, or a flight shows it"),
+    ] = False
     allocation: Annotated[
         Literal["pinv", "mca", "kim", "printed", "trim"], about("", "method of allocation; trim is the one that flies")
     ] = "trim"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,9 @@ from nff_companion.daemon.configuration import MODES, Config, default_state_fold
 from nff_companion.mavlink.codec import Message
 from nff_companion.session import Session, SessionOptions
 
+log = logging.getLogger("nff")
+
+_NO_NETWORK = "none: a constant basis"
 _JOURNAL = "parameters.journal"
 
 
@@ -27,7 +31,11 @@ def prepare(
     instance = 1 + secrets.randbelow(0xFFFF)
     meeting = Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method, instance=instance)
     network = basis_network.for_vehicle(vehicle, config.vehicle.network, config.tuning.network)
-    companion = Companion(vehicle, link.rate_hz, config.tuning, allocation=method, network=network)
+    note = basis_network.left_out(vehicle, config.vehicle.network)
+    if note and act:
+        log.warning("network %s", note)
+    confirmed = config.companion.confirmed or bool(vehicle.confirmed)
+    companion = Companion(vehicle, link.rate_hz, config.tuning, allocation=method, network=network, confirmed=confirmed)
     options = SessionOptions(
         mode=MODES[config.companion.mode] if act else MODES["observe"],
         rate_hz=link.rate_hz,
@@ -35,6 +43,7 @@ def prepare(
         system=link.system,
         stream_timeout_s=link.stream_timeout_s,
         act=act,
+        network_note=note or _NO_NETWORK,
     )
     return Session(companion, meeting, options, now_s, host_status)
 

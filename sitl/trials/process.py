@@ -12,6 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from nff_companion.core import vehicle as vehicle_model
+
 _END_S = 5.0
 _LAUNCHER = Path(__file__).with_name("launch.py")
 DAEMON_PRIORITY = 20  # CPUSchedulingPriority of systemd/nff-companion.service
@@ -56,11 +58,13 @@ def config_text(
 ) -> str:
     """A configuration file."""
     ratio = "" if thrust_to_weight is None else f"thrust_to_weight = {thrust_to_weight}\n"
+    # By its name: also for a relative of the airframe that it was trained on.
+    network = vehicle_model.load(airframe).network or "none"
     folder = "" if state_folder is None else f'state_folder = "{state_folder}"\n'
     return (
         f'[link]\nendpoint = "{endpoint}"\nrate_hz = {rate_hz}\n\n'
-        f'[vehicle]\nairframe = "{airframe}"\n{ratio}\n'
-        f'[companion]\nmode = "{mode}"\nstatus_socket = "{socket}"\n'
+        f'[vehicle]\nairframe = "{airframe}"\nnetwork = "{network}"\n{ratio}\n'
+        f'[companion]\nmode = "{mode}"\nconfirmed = true\nstatus_socket = "{socket}"\n'
         f"{folder}"
     )
 

@@ -50,6 +50,8 @@ class TrialOptions:
     allocation: str = "trim"
     network: str = "airframe"
     parts: Parts = FLOWN
+    confirmed: bool = True  # the airframe file is the plant's own
+    airframe: str = ""  # of this companion; empty: the flight's
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,9 @@ class VirtualFlight:
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
         rate = AUTOPILOT_RATE_HZ / max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
         self.companions: list[TrialCompanion] = []
+        flown = model
         for index, options in companions.items():
+            model = vehicle_model.load(options.airframe) if options.airframe else flown
             meeting = _TrialMeeting(
                 model,
                 "nff" if workshop is None else "ardupilot",
@@ -185,9 +189,17 @@ class VirtualFlight:
                 plans=None if workshop is None else workshop.plans,
             )
             meeting.alter = alter
-            network = basis_network.for_vehicle(model, options.network)
+            named = options.network
+            if named == "airframe" and not options.airframe:
+                named = model.network or "none"  # by its name: also where the trial has changed the thrust
             companion = Companion(
-                model, rate, options.tuning, allocation=options.allocation, network=network, parts=options.parts
+                model,
+                rate,
+                options.tuning,
+                allocation=options.allocation,
+                network=basis_network.for_vehicle(model, named),
+                parts=options.parts,
+                confirmed=options.confirmed,
             )
             session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
             card = None if workshop is None else workshop.card

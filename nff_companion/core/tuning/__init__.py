@@ -27,6 +27,7 @@ from nff_companion.core.tuning.estimation import (
     SampleRateTuning,
     SparseTuning,
 )
+from nff_companion.core.tuning.fit import FitTuning
 from nff_companion.core.tuning.relations import check_relations
 from nff_companion.core.tuning.span import check_fields
 
@@ -37,6 +38,7 @@ __all__ = [
     "DecisionTuning",
     "DisturbanceTuning",
     "EstimatorTuning",
+    "FitTuning",
     "FlightPhaseTuning",
     "LawTuning",
     "NetworkTuning",
@@ -66,6 +68,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     rotor_speed: RotorSpeedTuning = RotorSpeedTuning()
     sample_rate: SampleRateTuning = SampleRateTuning()
     flight_phase: FlightPhaseTuning = FlightPhaseTuning()
+    fit: FitTuning = FitTuning()
     planner: PlannerTuning = PlannerTuning()
     override: OverrideTuning = OverrideTuning()
     law: LawTuning = LawTuning()

@@ -1,0 +1,70 @@
+"""Numbers by which a flight confirms its airframe file, or contradicts it (core/fit_monitor.py).
+
+Measured means: on flights of octo-x, hexa-x, octo-plus and coax-x8, as their files are and as far off as an estimated
+file is, winds of 0 to 8 m/s, steps and turns after 3 s (docs/fit.md).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from nff_companion.core.tuning.span import span
+
+
+class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When a flight says that the airframe file fits the vehicle (core/fit_monitor.py)."""
+
+    look_hz: Annotated[float, span(10.0, 200.0, "Hz", "samples that are looked at: the motion has no more to tell")] = (
+        50.0
+    )
+    slow_hz: Annotated[float, span(0.05, 5.0, "Hz", "below it the air moves the vehicle, and steady errors")] = 0.7
+    fast_hz: Annotated[float, span(2.0, 50.0, "Hz", "above it the gyro's noise is larger than the motion")] = 6.0
+    settle_s: Annotated[float, span(0.1, 10.0, "s", "after a start, until the filters have forgotten it")] = 0.5
+    memory_s: Annotated[float, span(5.0, 600.0, "s", "time constant of forgetting")] = 20.0
+    judge_s: Annotated[float, span(0.1, 10.0, "s", "between two judgements")] = 1.0
+    alike: Annotated[int, span(1, 20, "judgements", "in a row, to be believed")] = 2
+    settled_s: Annotated[float, span(0.5, 60.0, "s", "of flight, for factors: climbs and gusts average out")] = 3.0
+    independent_hz: Annotated[
+        float, span(0.5, 50.0, "Hz", "independent looks at the motion: of the bandwidth, and the file's own misfit")
+    ] = 8.0
+    mixer_error: Annotated[
+        float, span(0.01, 1.0, "", "of a motor's share: firmwares round, and frames are not quite regular")
+    ] = 0.15
+    order_margin: Annotated[
+        float, span(5.0, 500.0, "", "chi squared by which one order must be likelier: measured 30 to 130 after a turn")
+    ] = 20.0
+    misfit_max: Annotated[
+        float, span(20.0, 5000.0, "", "chi squared of an order that fits: measured at most 83, and 50 after 10 s")
+    ] = 120.0
+    misfit_wrong: Annotated[
+        float, span(50.0, 5000.0, "", "chi squared of an order that does not, though no other is known to fit better")
+    ] = 250.0
+    ridge: Annotated[
+        float, span(1e-12, 1e-3, "", "of the energies, added where sums are inverted: signals may go together")
+    ] = 1e-6
+    explained_min: Annotated[
+        float, span(0.1, 0.99, "", "share of an axis' motion that the commands explain, for its gain to be known")
+    ] = 0.6
+    said_thrust: Annotated[
+        float, span(1.02, 2.0, "", "factor of thrust over weight, either way, that is worth saying")
+    ] = 1.1
+    said_turn: Annotated[
+        float, span(1.02, 3.0, "", "factor of an angular acceleration, either way, that is worth saying")
+    ] = 1.2
+    fits: Annotated[
+        float,
+        span(1.05, 3.0, "", "factor up to which a file fits: with yaw 1.54 times its, healthy motors were declared"),
+    ] = 1.3
+    wrong_thrust: Annotated[
+        float, span(1.1, 5.0, "", "factor that is none of this vehicle: an estimated file is up to 1.45 off")
+    ] = 1.65
+    wrong_turn: Annotated[float, span(1.1, 10.0, "", "the same of an angular acceleration")] = 2.5
+    early_s: Annotated[
+        float, span(-0.1, 0.1, "s", "by which motors seem quicker where the file is right: how outputs are sampled")
+    ] = 0.003
+    lag_explained: Annotated[
+        float, span(0.1, 0.999, "", "share that roll or pitch must be explained by, for the lag: a gust looks like one")
+    ] = 0.9
+    said_lag_s: Annotated[float, span(0.001, 0.2, "s", "of the motors' response that is worth saying")] = 0.006

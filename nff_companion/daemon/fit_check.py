@@ -1,0 +1,41 @@
+"""``nff check``: does the airframe file fit the vehicle that flies now? Listens; changes nothing but message rates."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from nff_companion.core.fit import Fit
+from nff_companion.daemon.configuration import Config
+from nff_companion.daemon.loop import IDLE_S, Loop
+from nff_companion.daemon.startup import endpoints, prepare
+from nff_companion.reporting import Moment
+
+
+class FitCheck:
+    """The session that the daemon would run, but one that may not act."""
+
+    def __init__(self, config: Config) -> None:
+        """Raises NffError when the configuration or its endpoints cannot be used."""
+        self._loop = Loop(endpoints(config), config.link.component)
+        self._session = prepare(config, time.monotonic(), act=False)
+
+    def watch(self, seconds: float, wait_s: float, said: Callable[[Moment], None]) -> Fit:
+        """The judgement ``seconds`` after a flight was seen, for which it waits ``wait_s`` at most; ``said`` is given
+        every moment that says something else than the one before."""
+        session, began, last = self._session, time.monotonic(), ""
+        since: float | None = None  # when the flight was seen
+        try:
+            while True:
+                self._loop.turn(session, IDLE_S)
+                now, moment = time.monotonic(), session.moment()
+                text = f"{moment.verdict.text} {moment.output.fit.text}"
+                if text != last:
+                    last = text
+                    said(moment)
+                if since is None and moment.output.fit.seen.seconds > 0.0:
+                    since = now
+                if now - (began if since is None else since) >= (wait_s if since is None else seconds):
+                    return moment.output.fit
+        finally:
+            self._loop.close()
