@@ -115,7 +115,7 @@ def written(text: str, found: list[Number], name: str, source: str) -> str:
     """The airframe file ``text`` with these numbers, called ``name``; the rest of it stays as it was."""
     document = tomlkit.parse(text)
     table = document["airframe"]
-    table["name"], table["source"] = name, source
+    table["name"], table["source"], table["confirmed"] = name, source, source
     table.pop("network", None)  # trained with other numbers
     for number in found:
         place, key = number.key.split(".")

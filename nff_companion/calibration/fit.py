@@ -238,7 +238,10 @@ def fit(
         x = problem.whole(found.x)
     jacobian = problem.jacobian(x[free])
     covariance = np.zeros((len(x), len(x)))
-    covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian)
+    # In deviations of the prior, so that no number is so much smaller than others that rounding eats it.
+    scaled = jacobian * deviations[free]
+    inverse = np.linalg.inv(scaled.T @ scaled)
+    covariance[np.ix_(free, free)] = inverse * np.outer(deviations[free], deviations[free])
     covariance += np.diag(_left_out(layout) * (deviations > 0.0))
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2

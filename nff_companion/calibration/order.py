@@ -104,7 +104,7 @@ def shares(
         for k, band_hz in enumerate(_BANDS_HZ):
             kept = np.column_stack([chain.band(column, piece.dt_s, *band_hz) for column in both.T])[skip:-skip]
             sums[k] += kept.T @ kept
-    fast, slow = (np.linalg.solve(total[:3, :3], total[:3, 3:]) for total in sums)
+    fast, slow = (np.linalg.lstsq(total[:3, :3], total[:3, 3:], rcond=1e-12)[0] for total in sums)
     rows = np.stack([fast[0], fast[1], slow[2]])
     rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
     yaw = sums[1]

@@ -203,7 +203,8 @@ class FitMonitor:
             ]
         )
         gram[[0, 1, 2], [0, 1, 2]] *= 1.0 + self._tuning.ridge
-        gain, _, shift = np.linalg.solve(gram, np.array([both, braked, sums[slope, axis]])).tolist()
+        right = np.array([both, braked, sums[slope, axis]])
+        gain, _, shift = np.linalg.lstsq(gram, right, rcond=1e-12)[0].tolist()  # the thrusts may have stood still
         ends = sorted((ahead, 1.0 / back))
         return Factor(ends[0], ends[1]), explained, -shift / gain if gain > 0.0 else 0.0
 
@@ -219,11 +220,11 @@ class FitMonitor:
         rest = (thrusts - both.T.dot(shares)) / max(seconds * o.independent_hz, 1.0)
         own = o.mixer_error**2 * (shares * shares).mean(axis=1) + o.ridge * np.diagonal(inverse) * np.trace(thrusts)
         covariance = np.diagonal(inverse)[:, None, None] * rest + own[:, None, None] * self._unit
-        weight = np.linalg.inv(covariance)  # (3, m, m)
+        weight = np.linalg.pinv(covariance, hermitian=True)  # (3, m, m)
         whole = ((shares[:, None] @ weight)[:, 0] * shares).sum(axis=1)
         weighed = self._others @ weight  # (3, orders, m)
         along = np.maximum((weighed * shares[:, None]).sum(axis=2), 0.0)
-        chi = whole[:, None] - along**2 / (weighed * self._others).sum(axis=2)
+        chi = whole[:, None] - along**2 / np.maximum((weighed * self._others).sum(axis=2), 1e-30)
         return np.asarray(chi.sum(axis=0))
 
 

@@ -195,6 +195,7 @@ def test_the_file_keeps_what_was_not_measured_and_flies_as_the_fit_says(rng: np.
     made = Vehicle(msgspec.convert(tomllib.loads(text), AirframeFile))
     assert made.name == "mine"
     assert made.network == ""  # trained with other numbers
+    assert made.confirmed == "calibrated from a test"  # it may be acted upon from the first second
     assert made.mass_kg == 6.0
     assert "[aerodynamics]" in text
     assert "calibrated, +-" in text

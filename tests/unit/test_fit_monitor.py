@@ -201,3 +201,16 @@ def test_words_are_short_enough_for_the_pilot() -> None:
     for fit in wrong:
         assert fit.verdict == FitVerdict.DOES_NOT_FIT
         assert len(f"NFF: wrong airframe file: {fit.short}") <= 50, fit.short
+
+
+def test_a_vehicle_whose_thrusts_stand_still_says_nothing_and_ends_nothing(octo: Vehicle) -> None:
+    # Outputs held for seconds, as by an autopilot that is driven by hand: no product with them is more than 0.
+    monitor = FitMonitor(octo, DT_S, FitTuning())
+    filters = ResidualFilter(octo, DT_S)
+    command = np.full(8, octo.hover)
+    state, residual = monitor.start(), filters.start(np.zeros(3), np.array([0.0, 0.0, -9.8]), command)
+    for k in range(4000):
+        gyro = 0.1 * np.sin(0.03 * k * np.array([1.0, 1.3, 0.7]))
+        residual = filters.step(residual, gyro, np.array([0.0, 0.0, -9.8]), command, DT_S)
+        state = monitor.step(state, residual)
+    assert state.fit.verdict == FitVerdict.UNKNOWN
