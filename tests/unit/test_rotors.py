@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from unlike_rotors import OCTO, every, first_alone, having, loaded, measured_octo, tilted_octo, written
 
 from nff_companion.core import vehicle
 from nff_companion.core.filters import lag_share
@@ -21,62 +21,8 @@ from sitl import airframe
 from sitl.fleet import Fleet, FleetOptions
 from sitl.plant import Plant, initial_state
 from sitl.trials.virtual import sample_of
-from sitl.uncertainty import Uncertainty
 
-OCTO = vehicle.path_of("octo-x").read_text(encoding="utf-8")
 DT = 0.005
-TILT = 0.15
-
-
-def having(lines: Sequence[str], *, head: Sequence[str] = (), delay: str = "", text: str = OCTO) -> str:
-    """octo-x with a line added to each ``[[rotor]]``, to ``[airframe]`` and to ``[telemetry]``; empty: none."""
-    first, *rotors = text.split("[[rotor]]\n")
-    first = first.replace("[airframe]\n", "[airframe]\n" + "".join(f"{line}\n" for line in head))
-    if delay:
-        first = first.replace("[telemetry]\n", f"[telemetry]\noutput_delay_s = {delay}\n")
-    assert len(rotors) == len(lines)
-    return "[[rotor]]\n".join([first, *(f"{line}\n{rest}" for line, rest in zip(lines, rotors, strict=True))])
-
-
-def every(line: str) -> list[str]:
-    return [line] * 8
-
-
-def first_alone(line: str) -> list[str]:
-    return [line, *every("")[1:]]
-
-
-def loaded(tmp_path: Path, text: str, **options: Any) -> Vehicle:
-    return vehicle.load(str(written(tmp_path, text)), **options)
-
-
-def written(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "any.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def tilted_octo() -> str:
-    """octo-x, each rotor tilted about its arm so that its push helps its drag in yaw; lower, unlike, off-centre."""
-    octo, lines = vehicle.load("octo-x"), []
-    for i in range(8):
-        x, y = octo.position_m[i] / 0.5
-        side = octo.spin[i] * TILT  # along (-y, x), which turns the vehicle about +z
-        lines.append(
-            f"z_m = {0.02 * i - 0.1:.3f}\naxis = [{-y * side:.6f}, {x * side:.6f}, -1.0]\n"
-            f"thrust = {1.0 - 0.04 * (i % 3):.2f}\ntime_constant_down_s = {0.04 + 0.005 * i:.3f}"
-        )
-    return having(lines, head=["centre_of_mass_m = [0.02, -0.015, 0.03]"])
-
-
-def measured_octo(yaw: NDArray[np.float64] | None = None) -> str:
-    """octo-x by what each rotor was seen to do, some of it not as its place would have it; ``yaw`` (8,) rad/s^2."""
-    octo = vehicle.load("octo-x")
-    rows = (octo.acceleration_effectiveness * np.linspace(0.9, 1.1, 8)).T
-    rows[:, 1:3] *= 1.05
-    if yaw is not None:
-        rows[:, 3] = yaw
-    return having([f"acceleration = [{', '.join(f'{gain:.6f}' for gain in row)}]" for row in rows])
 
 
 def measured_by_the_plant(path: Path, fraction: NDArray[np.float64], **options: Any) -> NDArray[np.float64]:
@@ -376,18 +322,6 @@ def test_hubs_at_their_own_heights_drag_there(tmp_path: Path) -> None:
     # 20 cm higher: wind from behind pushes all hubs forward, nose down.
     gained = -0.2 * 8 * 0.3 * speed * 4.0 / 0.17 * 1e-3
     assert rates[2][1] - rates[1][1] == pytest.approx(gained, rel=0.02)
-
-
-@pytest.mark.parametrize("text", [tilted_octo(), measured_octo()], ids=["tilted", "measured"])
-@pytest.mark.parametrize("level", [Uncertainty.exact(), Uncertainty.estimated()], ids=["as told", "uncertain"])
-def test_such_a_vehicle_flies(tmp_path: Path, text: str, level: Uncertainty) -> None:
-    options = FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, model_error=0.05, uncertainty=level)
-    fleet = Fleet(airframe.load(written(tmp_path, text)), options)
-    for _ in range(2400):
-        fleet.step()
-    assert not fleet.state.crashed.any()
-    assert np.abs(fleet.state.position_m[0] - [0.0, 0.0, -10.0]).max() < 1.5
-    assert fleet.max_tilt_rad[0] < 0.3
 
 
 def test_a_delay_that_is_told_leaves_less_of_the_residual(tmp_path: Path) -> None:

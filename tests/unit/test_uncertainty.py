@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -235,14 +234,6 @@ def test_the_learned_hover_throttle_carries_the_vehicle_through_the_wrong_curve(
     output = np.tile((idle + (0.95 - idle) * command)[:, None], (1, 8))
     lift = (true.max_thrust_n * Plant(true, DT).thrust_fraction(output)).sum(axis=1)
     np.testing.assert_allclose(lift, true.mass_kg * 9.80665, rtol=1e-9)
-
-
-@pytest.mark.parametrize("level", [Uncertainty.calibrated(), Uncertainty.estimated()], ids=["calibrated", "estimated"])
-def test_a_fleet_of_wrong_files_flies(level: Uncertainty) -> None:
-    fleet = flown(6.0, uncertainty=level, model_error=0.1)
-    assert not fleet.state.crashed.any()
-    assert np.abs(fleet.state.position_m - [0.0, 0.0, -10.0]).max() < 3.0
-    assert math.degrees(fleet.max_tilt_rad.max()) < 30.0
 
 
 def test_a_vehicle_of_many_flies_as_it_does_alone() -> None:
