@@ -49,12 +49,15 @@ class Companion:
         self._dt_s, self._composite = 1.0 / rate_hz, self.tuning.adaptation.composite > 0.0
         basis = network if parts.learn else None
         self._estimator = (
-            Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint)
+            Estimator(
+                vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint, ordered=parts.ordered
+            )
             if parts.estimator is None
             else parts.estimator(vehicle, self._dt_s)
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
         self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target)
+        self._allocates = parts.allocate or basis is not None
         self._loop = OverrideLoop(vehicle, o.law, o.override)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
@@ -229,14 +232,16 @@ class Companion:
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
-        adapted = state.adapted
+        planning, adapted = state.planning, state.adapted
+        if self._allocates:
+            planning = self._planner.step(planning, time_s, estimate)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
             state,
             estimate=estimating,
             failed=failed,
-            planning=self._planner.step(state.planning, time_s, estimate),
+            planning=planning,
             knowledge=self._known(estimate),
             adapted=adapted,
             trouble=None if recovered else Statement(Reason.RECOVERING),

@@ -79,15 +79,11 @@ class Decision:
     def best(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> Hypothesis | None:
         """The hypothesis that explains the windows best, None when none improves enough."""
         o = self.tuning
-        nuisance = np.flatnonzero(failed)
-        sums = _without(sums, nuisance)
-        one = hypotheses.singles(sums.matrix, sums.vector, gamma)
-        one_best = one.improvement.max(axis=0)  # over onsets
-        first = int(one_best.argmax())
-        if one_best[first] < o.look_share * o.improvement_min:
+        sums, one, one_best, first = _alone(sums, failed, gamma)
+        if not self._improves(one_best[first]):
             return None
         pairs = self._pairs
-        if len(nuisance):
+        if True in failed.tolist():
             pairs = pairs[~failed[pairs].any(axis=1)]
         if len(pairs) == 0:
             return self._describe((first,), one, first, sums, one_best, np.zeros(0))
@@ -102,6 +98,20 @@ class Decision:
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = np.delete(one_best, first)
         return self._describe((first,), one, first, sums, others, without)
+
+    def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:
+        """Whether ``best`` finds any hypothesis."""
+        _, _, one_best, first = _alone(sums, failed, gamma)
+        return self._improves(one_best[first])
+
+    def _improves(self, improvement: float) -> bool:
+        return not improvement < self.tuning.look_share * self.tuning.improvement_min
+
+    def closed(self, state: DecisionState) -> bool:
+        """No more motor may be declared, nor will one be within what any declaration takes: none is about to be lifted
+        by evidence, which takes longer. An operator's order to lift is not foreseen."""
+        full = sum(state.failed.tolist()) >= self.failed_max
+        return full and not state.healthy_since_s and self.tuning.lift_s > 2.0 * self.tuning.confirm_ambiguous_s
 
     def direct(
         self, sums: OnsetSums, failed: NDArray[np.bool_], stopped: tuple[int, ...], gamma: float
@@ -268,6 +278,17 @@ class Decision:
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )
+
+
+def _alone(
+    sums: OnsetSums, failed: NDArray[np.bool_], gamma: float
+) -> tuple[OnsetSums, hypotheses.Scores, NDArray[np.float64], int]:
+    """The sums without motors ``failed`` (m,) bool, each other motor alone, its improvement (m,) at its best onset, and
+    the best of them."""
+    sums = _without(sums, np.flatnonzero(failed))
+    one = hypotheses.singles(sums.matrix, sums.vector, gamma)
+    one_best = one.improvement.max(axis=0)
+    return sums, one, one_best, int(one_best.argmax())
 
 
 def _without(sums: OnsetSums, nuisance: NDArray[np.intp]) -> OnsetSums:
