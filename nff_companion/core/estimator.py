@@ -45,14 +45,14 @@ class Estimator:
         *,
         identify: bool = True,
         joint: float = 0.0,
-        ordered: bool = True,
+        judged: bool = False,
     ) -> None:
         """``network`` None: a constant basis. ``identify`` False: no loss is looked for, total or partial. ``joint``:
-        0, phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md). ``ordered``
-        False: no operator lifts a declaration, and what matters only then is left out."""
+        0, phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md). ``judged``: of
+        a log, in which no operator lifts a declaration: what matters only then is left out."""
         o = self.tuning = tuning or Tuning()
         self.vehicle, self.dt_s, self.network, self.identify = vehicle, dt_s, network, identify
-        self._ordered = ordered
+        self._judged = judged
         self._filter = ResidualFilter(vehicle, dt_s, o.residual)
         self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
@@ -204,7 +204,7 @@ class Estimator:
         variance = self._disturbance.variance(state.disturbance)
         sums = self._onset.sums(onset, seen.effectiveness_matrix, variance, yaw_error)
         gamma = self.tuning.onset.gamma_onset
-        if not self._ordered and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
+        if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return self._decision.suspects(sums, failed, gamma), None, None
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         best = self._decision.best(sums, failed, gamma)

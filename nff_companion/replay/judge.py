@@ -21,7 +21,7 @@ __all__ = ["Fault", "Judgement", "judge"]
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
 _BEGIN_S = 1.0  # of each flight left out of what is explained: take-off
-_JUDGED = Parts(allocate=False, ordered=False)
+_JUDGED = Parts(judged=True)
 _FILTERS_S = 0.3  # and so long after a sample that could not be used: the filters start anew
 
 
@@ -82,7 +82,7 @@ def _count(watch: Watch, vehicle: Vehicle, before: CompanionState, state: Compan
         watch.troubles[state.trouble.text] += 1
     if not refused:
         command = sample.thrust if sample.thrust is not None else vehicle.thrust_fraction(sample.output)
-        watch.thrust.append(float(command.mean()))
+        watch.thrust_max = max(watch.thrust_max, float(command.sum()) / len(command))
 
 
 def _event(watch: Watch, event: Event, time_s: float) -> Fault | None:

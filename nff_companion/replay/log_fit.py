@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
 from nff_companion.replay.flight import Row
 
@@ -61,8 +62,8 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(time_s)) > 0.0])
     samples = [sample for (_, sample), kept in zip(rows, keep, strict=True) if kept]
     time_s = time_s[keep]
-    thrust = np.array([s.thrust if s.thrust is not None else vehicle.thrust_fraction(s.output) for s in samples])
-    measured = np.array([np.append(s.gyro_rad_s, -s.specific_force_m_s2[2]) for s in samples])
+    thrust = _thrusts(samples, vehicle)
+    measured = np.array([(*s.gyro_rad_s.tolist(), -float(s.specific_force_m_s2[2])) for s in samples])
     whole = np.array([s.armed for s in samples]) & np.isfinite(np.hstack([thrust, measured])).all(axis=1)
     thrust, measured = (np.nan_to_num(table, posinf=0.0, neginf=0.0) for table in (thrust, measured))
     gyro, force_up = measured[:, :3], measured[:, 3]
@@ -90,6 +91,13 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
         peak=float(np.percentile(thrust[flying].max(axis=1), 99.5)),
         fast=bool(min(outputs_hz, 1.0 / step_s) >= _RATE_MIN_HZ),
     )
+
+
+def _thrusts(samples: list[Sample], vehicle: Vehicle) -> Array:
+    """Fractions (N, m)."""
+    if all(s.thrust is None for s in samples):
+        return vehicle.thrust_fraction(np.array([s.output for s in samples]))
+    return np.array([s.thrust if s.thrust is not None else vehicle.thrust_fraction(s.output) for s in samples])
 
 
 def _take_off(mean: Array, force_up: Array, idle: float, step_s: float) -> int:

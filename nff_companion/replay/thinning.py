@@ -58,9 +58,14 @@ def _means(
     samples: list[Sample], column: Callable[[Sample], Any], first: NDArray[np.int64], many: int
 ) -> NDArray[np.float64] | None:
     values = [column(sample) for sample in samples]
-    if any(value is None for value in values) or len({value.shape for value in values}) != 1:
+    if any(value is None for value in values):
         return None
-    table = np.array(values)
+    try:
+        table = np.concatenate(values).reshape(len(values), -1)
+    except ValueError:
+        return None
+    if table.shape[1] != len(values[0]) or any(len(value) != table.shape[1] for value in values):
+        return None
     return _mean(table, first, many)
 
 
