@@ -49,9 +49,7 @@ class Companion:
         self._dt_s, self._composite = 1.0 / rate_hz, self.tuning.adaptation.composite > 0.0
         basis = network if parts.learn else None
         self._estimator = (
-            Estimator(
-                vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint, judged=parts.judged
-            )
+            Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint, judged=parts.judged)
             if parts.estimator is None
             else parts.estimator(vehicle, self._dt_s)
         )
