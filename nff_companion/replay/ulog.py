@@ -59,7 +59,8 @@ def flights(path: Path) -> list[LogFlight]:
     on = np.zeros((0, 2)) if armed is None else armed[armed[:, 1] > 0.0]
     take_off_s = float(on[0, 0]) if len(on) else first_s
     values = parameters.at(take_off_s)
-    notes = [f"{len(log.dropouts)} dropouts of the logger"] if log.dropouts else []
+    dropouts = len(log.dropouts)
+    notes = [f"{dropouts} dropout{'s' if dropouts > 1 else ''} of the logger"] if dropouts else []
     if getattr(log, "file_corruption", False) or printed.getvalue().strip():
         notes.append("parts of the file are corrupt and were passed over")
     return [
