@@ -99,12 +99,13 @@ def _rotor(frame: Frame, motor: int, x: float, y: float, *, crossed: bool) -> li
     if spin:
         # An arrow head on top of the circle: to the right is clockwise.
         out.append(f'<path d="M {x - 7 * spin:.1f} {y - r:.1f} l {13 * spin} -8 v 16 z" fill="{colour}"/>')
-    name, over = SPIN_NAMES[spin] if spin else "", ""
+    name = SPIN_NAMES[spin] if spin else ""
     if crossed:
         out.append(_crossed(motor, x, y))
-        over = ' stroke="white" stroke-width="5" paint-order="stroke"'  # so that it is read over the cross
+    # The number is read over the cross.
+    over = ' stroke="white" stroke-width="9" paint-order="stroke"' if crossed else ""
     out.append(f'<text x="{x:.1f}" y="{y + 6:.1f}" font-size="18" fill="{colour}"{over}>{motor + 1}</text>')
-    out.append(f'<text x="{x:.1f}" y="{y + 20:.1f}" font-size="10" fill="{colour}"{over}>{name}</text>')
+    out.append(f'<text x="{x:.1f}" y="{y + 20:.1f}" font-size="10" fill="{colour}">{name}</text>')
     return out
 
 

@@ -19,6 +19,7 @@ _AROUND_S = (4.0, 4.0)  # of the first declaration
 _UNITS = {"thrust": "m/s²", "roll": "rad/s²", "pitch": "rad/s²", "yaw": "rad/s²"}
 _COLOURS = ("#1565c0", "#2e7d32", "#6a1b9a", "#ef6c00", "#00838f", "#9e9d24", "#795548", "#000000") * 2
 _FAILED = "#d50000"
+_FAILED_ONES = (_FAILED, "#c51162", "#7f0000", "#ff4081")  # of several
 _NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'  # a file needs it, a page does not: nothing in it names a network
 _STYLE = """
 :root { color-scheme: light; }
@@ -174,7 +175,7 @@ def _effectiveness(said: dict[str, Any], course: Course) -> str:
         Curve(
             f"motor {motor}" + (", failed" if motor in failed else ""),
             course.effectiveness[:, motor - 1],
-            _FAILED if motor in failed else _COLOURS[motor - 1],
+            _FAILED_ONES[failed.index(motor) % len(_FAILED_ONES)] if motor in failed else _COLOURS[motor - 1],
             2.5 if motor in failed else 1.2,
             dashed=motor not in failed,
         )
