@@ -92,11 +92,11 @@ class Decision:
         best = int(two_best.argmax())
         gain = two_best[best] - one_best[first]
         if gain > o.pair_min:
-            others = np.delete(two_best, best)
+            others = _beside(two_best, best)
             return self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
-        others = np.delete(one_best, first)
+        others = _beside(one_best, first)
         return self._describe((first,), one, first, sums, others, without)
 
     def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:
@@ -124,7 +124,7 @@ class Decision:
         best = one_best = one.improvement.max(axis=0)
         if len(stopped) == 1:
             scores, index = one, stopped[0]
-            others = np.delete(one_best, index)
+            others = _beside(one_best, index)
         else:
             first, second = (np.array([motor]) for motor in stopped)
             scores, index = hypotheses.pairs(sums.matrix, sums.vector, gamma, first, second), 0
@@ -150,8 +150,8 @@ class Decision:
         improvement = float(scores.improvement[window, index])
         rivals = [float(array.max()) for array in (others, simpler) if array.size]
         chosen = list(motors)
-        s = sums.matrix[window][np.ix_(chosen, chosen)]
-        fit = float(sums.vector[window][chosen] @ e - 0.5 * e @ s @ e)
+        s = sums.matrix[window].take(chosen, axis=0).take(chosen, axis=1)
+        fit = float(sums.vector[window].take(chosen) @ e - 0.5 * e @ s @ e)
         return Hypothesis(
             motors=tuple(int(i) for i in motors),
             loss=tuple(-float(value) for value in e),
@@ -278,6 +278,11 @@ class Decision:
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )
+
+
+def _beside(values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    """All but one of them; numpy's own ``delete`` takes ten times as long."""
+    return np.concatenate((values[:index], values[index + 1 :]))
 
 
 def _alone(

@@ -164,6 +164,7 @@ class Estimator:
         residual = raw - expectation.believed
         if not math.isfinite(sum(residual.tolist())):
             raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
+        variance = self._disturbance.variance(state.disturbance)
         return Seen(
             filtered=filtered,
             side_drag=side_drag,
@@ -173,7 +174,8 @@ class Estimator:
             features=seen,
             expectation=expectation,
             residual=residual,
-            noise_weight=self._disturbance.noise_weight(state.disturbance),
+            variance=variance,
+            noise_weight=1.0 / (variance * self.tuning.disturbance.correlation_s),
         )
 
     def _accumulate(
@@ -201,8 +203,7 @@ class Estimator:
             return False, None, None
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
         yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
-        variance = self._disturbance.variance(state.disturbance)
-        sums = self._onset.sums(onset, seen.effectiveness_matrix, variance, yaw_error)
+        sums = self._onset.sums(onset, seen.effectiveness_matrix, seen.variance, yaw_error)
         gamma = self.tuning.onset.gamma_onset
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return self._decision.suspects(sums, failed, gamma), None, None

@@ -42,7 +42,7 @@ def flights(path: Path) -> list[LogFlight]:
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            log = ULog(str(path))
+            log = ULog(io.BytesIO(path.read_bytes()))
     except Exception as error:  # pyulog raises whatever its parser trips over
         raise LogError(f"{path} is not a readable ULog: {error}") from error
     topics: dict[tuple[str, int], Topic] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from nff_companion.companion import Companion
 from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import hypotheses, vehicle
-from nff_companion.core.decision import Decision
+from nff_companion.core.decision import Decision, Event
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.sample import Sample
@@ -53,8 +54,13 @@ def test_a_judge_finds_the_same_bits_as_what_flies(
     samples = stretches(model, rng)
     short: list[bool] = []
     suspects = Decision.suspects
-    monkeypatch.setattr(Decision, "suspects", lambda *a: short.append(True) or suspects(*a))
-    events = []
+
+    def counted(*given: Any) -> bool:
+        short.append(True)
+        return suspects(*given)
+
+    monkeypatch.setattr(Decision, "suspects", counted)
+    events: list[Event] = []
     both = zip(flown(model, samples, FLOWN), flown(model, samples, Parts(judged=True)), strict=True)
     for real, judged in both:
         assert (real.estimate is None) == (judged.estimate is None)
