@@ -55,12 +55,14 @@ class Companion:
         self._dt_s, self._composite = 1.0 / rate_hz, self.tuning.adaptation.composite > 0.0
         basis = network if parts.learn else None
         self._estimator = (
-            Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint)
+            Estimator(vehicle, self._dt_s, o, basis, identify=parts.identify, joint=parts.joint, judged=parts.judged)
             if parts.estimator is None
             else parts.estimator(vehicle, self._dt_s)
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
         self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target)
+        # Without a network neither the matrix in force nor what the vehicle does has a part in the estimate.
+        self._only_judges = parts.judged and basis is None
         self._loop = OverrideLoop(vehicle, o.law, o.override)
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
@@ -247,14 +249,16 @@ class Companion:
             state, estimate = self._held_back(state, estimate, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
-        adapted = state.adapted
+        planning, adapted = state.planning, state.adapted
+        if state.trusted and not self._only_judges:
+            planning = self._planner.step(planning, time_s, estimate)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
             state,
             estimate=estimating,
             failed=failed,
-            planning=self._planner.step(state.planning, time_s, estimate) if state.trusted else state.planning,
+            planning=planning,
             knowledge=self._known(estimate),
             adapted=adapted,
             trouble=None if recovered else Statement(Reason.RECOVERING),
@@ -278,7 +282,7 @@ class Companion:
             specific_force=force,
             command=command,
             stopped=self._stopped(state, sample, command),
-            motion=_motion(sample),
+            motion=None if self._only_judges else _motion(sample),
             allocation_norm=plan.norm if plan is not None else 0.0,
             failed=state.failed,
             tracking_error=np.array(error) if self._composite and error and state.blind is None else None,

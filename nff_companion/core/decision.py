@@ -79,15 +79,11 @@ class Decision:
     def best(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> Hypothesis | None:
         """The hypothesis that explains the windows best, None when none improves enough."""
         o = self.tuning
-        nuisance = np.flatnonzero(failed)
-        sums = _without(sums, nuisance)
-        one = hypotheses.singles(sums.matrix, sums.vector, gamma)
-        one_best = one.improvement.max(axis=0)  # over onsets
-        first = int(one_best.argmax())
-        if one_best[first] < o.look_share * o.improvement_min:
+        sums, one, one_best, first = _alone(sums, failed, gamma)
+        if not self._improves(one_best[first]):
             return None
         pairs = self._pairs
-        if len(nuisance):
+        if True in failed.tolist():
             pairs = pairs[~failed[pairs].any(axis=1)]
         if len(pairs) == 0:
             return self._describe((first,), one, first, sums, one_best, np.zeros(0))
@@ -96,12 +92,26 @@ class Decision:
         best = int(two_best.argmax())
         gain = two_best[best] - one_best[first]
         if gain > o.pair_min:
-            others = np.delete(two_best, best)
+            others = _beside(two_best, best)
             return self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
-        others = np.delete(one_best, first)
+        others = _beside(one_best, first)
         return self._describe((first,), one, first, sums, others, without)
+
+    def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:
+        """Whether ``best`` finds any hypothesis."""
+        _, _, one_best, first = _alone(sums, failed, gamma)
+        return self._improves(one_best[first])
+
+    def _improves(self, improvement: float) -> bool:
+        return not improvement < self.tuning.look_share * self.tuning.improvement_min
+
+    def closed(self, state: DecisionState) -> bool:
+        """No more motor may be declared, nor will one be within what any declaration takes: none is about to be lifted
+        by evidence, which takes longer. An operator's order to lift is not foreseen."""
+        full = sum(state.failed.tolist()) >= self.failed_max
+        return full and not state.healthy_since_s and self.tuning.lift_s > 2.0 * self.tuning.confirm_ambiguous_s
 
     def direct(
         self, sums: OnsetSums, failed: NDArray[np.bool_], stopped: tuple[int, ...], gamma: float
@@ -114,7 +124,7 @@ class Decision:
         best = one_best = one.improvement.max(axis=0)
         if len(stopped) == 1:
             scores, index = one, stopped[0]
-            others = np.delete(one_best, index)
+            others = _beside(one_best, index)
         else:
             first, second = (np.array([motor]) for motor in stopped)
             scores, index = hypotheses.pairs(sums.matrix, sums.vector, gamma, first, second), 0
@@ -140,8 +150,8 @@ class Decision:
         improvement = float(scores.improvement[window, index])
         rivals = [float(array.max()) for array in (others, simpler) if array.size]
         chosen = list(motors)
-        s = sums.matrix[window][np.ix_(chosen, chosen)]
-        fit = float(sums.vector[window][chosen] @ e - 0.5 * e @ s @ e)
+        s = sums.matrix[window].take(chosen, axis=0).take(chosen, axis=1)
+        fit = float(sums.vector[window].take(chosen) @ e - 0.5 * e @ s @ e)
         return Hypothesis(
             motors=tuple(int(i) for i in motors),
             loss=tuple(-float(value) for value in e),
@@ -268,6 +278,22 @@ class Decision:
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
         )
+
+
+def _beside(values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    """All but one of them; numpy's own ``delete`` takes ten times as long."""
+    return np.concatenate((values[:index], values[index + 1 :]))
+
+
+def _alone(
+    sums: OnsetSums, failed: NDArray[np.bool_], gamma: float
+) -> tuple[OnsetSums, hypotheses.Scores, NDArray[np.float64], int]:
+    """The sums without motors ``failed`` (m,) bool, each other motor alone, its improvement (m,) at its best onset, and
+    the best of them."""
+    sums = _without(sums, np.flatnonzero(failed))
+    one = hypotheses.singles(sums.matrix, sums.vector, gamma)
+    one_best = one.improvement.max(axis=0)
+    return sums, one, one_best, int(one_best.argmax())
 
 
 def _without(sums: OnsetSums, nuisance: NDArray[np.intp]) -> OnsetSums:

@@ -123,10 +123,6 @@ class Disturbance:
         """Variance (n,) of the residual in steady flight, between floor and ceiling."""
         return np.minimum(np.maximum(state.variance, self._floor_squared), self._ceiling_squared)
 
-    def noise_weight(self, state: DisturbanceState) -> NDArray[np.float64]:
-        """Diagonal of W (n,): inverse of variance times correlation time, so that sums over time are in nats."""
-        return 1.0 / (self.variance(state) * self._tuning.correlation_s)
-
     def basis(self, state: DisturbanceState, features: NDArray[np.float64] | None, dt_s: float) -> NDArray[np.float64]:
         """phi (k + 1,); without ``features`` the last one fades: what it said of the speed grows old, and a jump to the
         constant would look like a failure."""

@@ -86,4 +86,5 @@ class Seen:
     features: NDArray[np.float64] | None
     expectation: Expectation
     residual: NDArray[np.float64]  # (n,) y - phi a
+    variance: NDArray[np.float64]  # (n,) of y - phi a in steady flight
     noise_weight: NDArray[np.float64]  # (n,) diagonal of W

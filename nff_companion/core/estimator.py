@@ -45,11 +45,14 @@ class Estimator:
         *,
         identify: bool = True,
         joint: float = 0.0,
+        judged: bool = False,
     ) -> None:
         """``network`` None: a constant basis. ``identify`` False: no loss is looked for, total or partial. ``joint``:
-        0, phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md)."""
+        0, phi a first, then losses; else together, phi a off by so many deviations (docs/learning.md). ``judged``: of
+        a log, in which no operator lifts a declaration: what matters only then is left out."""
         o = self.tuning = tuning or Tuning()
         self.vehicle, self.dt_s, self.network, self.identify = vehicle, dt_s, network, identify
+        self._judged = judged
         self._filter = ResidualFilter(vehicle, dt_s, o.residual)
         self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
@@ -92,10 +95,11 @@ class Estimator:
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         best = direct = None
+        suspected = False
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
         decision, events = state.decision, list[Event]()
         if self.identify:
-            best, direct = self._weigh(state, seen, onset, measurement.stopped)
+            suspected, best, direct = self._weigh(state, seen, onset, measurement)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
@@ -106,7 +110,7 @@ class Estimator:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
         suspicious_since_s = None
-        if best is not None:
+        if suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(time_s, state.started_s, suspicious_since_s, best)
         disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
@@ -160,6 +164,7 @@ class Estimator:
         residual = raw - expectation.believed
         if not math.isfinite(sum(residual.tolist())):
             raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
+        variance = self._disturbance.variance(state.disturbance)
         return Seen(
             filtered=filtered,
             side_drag=side_drag,
@@ -169,7 +174,8 @@ class Estimator:
             features=seen,
             expectation=expectation,
             residual=residual,
-            noise_weight=self._disturbance.noise_weight(state.disturbance),
+            variance=variance,
+            noise_weight=1.0 / (variance * self.tuning.disturbance.correlation_s),
         )
 
     def _accumulate(
@@ -184,23 +190,32 @@ class Estimator:
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
 
     def _weigh(
-        self, state: EstimatorState, seen: Seen, onset: OnsetState, stopped: NDArray[np.bool_] | None
-    ) -> tuple[Hypothesis | None, Hypothesis | None]:
-        """The best explanation of the last moments by lost motors, and the one that rotor speeds name; None: none."""
-        failed = state.decision.failed
+        self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement
+    ) -> tuple[bool, Hypothesis | None, Hypothesis | None]:
+        """Whether lost motors explain the last moments, the best such hypothesis, and the one that rotor speeds name;
+        None: none, or it does not matter which."""
+        failed, stopped = state.decision.failed, measurement.stopped
         hint: tuple[int, ...] = ()
         if stopped is not None and True in stopped.tolist():
             hint = tuple(np.flatnonzero(stopped & ~failed).tolist())
         largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
         if not hint and largest * self.tuning.disturbance.correlation_s <= self.tuning.estimator.suspicious**2:
-            return None, None
+            return False, None, None
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
         yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
-        variance = self._disturbance.variance(state.disturbance)
-        sums = self._onset.sums(onset, seen.effectiveness_matrix, variance, yaw_error)
+        sums = self._onset.sums(onset, seen.effectiveness_matrix, seen.variance, yaw_error)
         gamma = self.tuning.onset.gamma_onset
+        if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
+            return self._decision.suspects(sums, failed, gamma), None, None
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
-        return self._decision.best(sums, failed, gamma), direct
+        best = self._decision.best(sums, failed, gamma)
+        return best is not None, best, direct
+
+    def _learns_alike(self, state: EstimatorState, time_s: float) -> bool:
+        """Whether the speed of learning is the same however sure the best hypothesis is."""
+        o = self.tuning.estimator
+        since_s = 0.0 if state.suspicious_since_s is None else time_s - state.suspicious_since_s
+        return not min(o.freeze_max_s, o.freeze_sure_s) <= since_s < max(o.freeze_max_s, o.freeze_sure_s)
 
     def _learn(
         self,
@@ -249,7 +264,8 @@ class Estimator:
     ) -> float:
         """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
         o = self.tuning.estimator
-        if best is not None and suspicious_since_s is not None:
-            longest = o.freeze_sure_s if best.explained > o.sure_explained else o.freeze_max_s
+        if suspicious_since_s is not None:
+            sure = best is not None and best.explained > o.sure_explained
+            longest = o.freeze_sure_s if sure else o.freeze_max_s
             return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
         return o.learn_fast_rate if time_s - started_s < o.learn_fast_s else 1.0

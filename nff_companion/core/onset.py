@@ -120,7 +120,7 @@ class OnsetBank:
         outer = self._squared.dot((w[:, :, None] * w[:, None, :]).reshape(-1, m * m))  # (K, m m)
         product = self._response.dot((y[:, :, None] * w[:, None, :]).reshape(-1, n * m))  # (K, n m)
         matrix = (outer * weighted.T.dot(b).ravel()).reshape(-1, m, m)
-        vector = (product * weighted.ravel()).reshape(-1, n, m).sum(axis=1)
+        vector = np.add.reduce((product * weighted.ravel()).reshape(-1, n, m), axis=1)
         sums = OnsetSums(matrix, vector, self._inside.dot(squared.dot(noise_weight)), self.age_s)
         return self._marginal(sums, w, y, b, noise_weight, variance) if self._joint else sums
 
@@ -138,9 +138,9 @@ class OnsetBank:
         error[YAW, ROLL : PITCH + 1] = self._yaw_share * (o.yaw_error_share**2 + yaw_error**2)
         unsteady = state.thrust_shown[last] - state.steady[last]
         beyond = state.effectiveness_matrix[last] * unsteady[:, None, :]
-        together, single = beyond.sum(axis=2), (beyond * beyond).sum(axis=2)
+        together, single = np.add.reduce(beyond, axis=2), np.add.reduce(beyond * beyond, axis=2)
         doubtful = o.together_error_share**2 * together * together + o.single_error_share**2 * single
-        level, doubt = self._mean.dot(squared).max(axis=0), self._mean.dot(doubtful).max(axis=0)
+        level, doubt = (np.maximum.reduce(self._mean.dot(part), axis=0) for part in (squared, doubtful))
         return np.asarray(variance + error.dot(level) + doubt)
 
     def _marginal(

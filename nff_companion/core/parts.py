@@ -34,6 +34,8 @@ class Parts:
     identify: bool = True
     learn: bool = True  # phi a by the network's basis, subtracted from y and fed forward
     feed_lateral: bool = True  # the lateral specific force, measured
+    # Of a log: nobody flies by a matrix, lifts a declaration, or learns from what is handed out. The same is found.
+    judged: bool = False
     joint: float = 0.0  # 0: phi a first, then losses; else together, phi a off by so many deviations
     target: Callable[[Estimate], NDArray[np.float64]] | None = None  # another rule for what to allocate for
     adapt: Callable[[Vehicle], MatrixAdaptation] | None = None

@@ -96,17 +96,20 @@ def effectiveness(information: Information, failed: NDArray[np.bool_], tuning: S
     matrix, vector = information.matrix, information.vector
     left, gone = np.flatnonzero(~failed), np.flatnonzero(failed)
     ridge = 1e-6 * sum(matrix.diagonal().tolist()) + _TINY
-    inverse = np.linalg.inv(matrix[gone[:, None], gone] + ridge * np.eye(len(gone)))
-    cross, part = matrix[left[:, None], gone], vector[gone]
-    gain = cross.dot(inverse)
-    rest = Information(
-        matrix=matrix[left[:, None], left] - gain.dot(cross.T),
-        vector=vector[left] - np.einsum("ij,j->i", gain, part),
-        energy=0.0,
-    )
+    rows, part = matrix.take(left, axis=0), vector.take(gone)
+    cross, kept = rows.take(gone, axis=1), rows.take(left, axis=1)
+    if len(gone) == 1:
+        inverse = 1.0 / (matrix[gone, gone] + ridge)
+        gain, free = cross * inverse, inverse * part
+        rest = Information(matrix=kept - gain * cross.T, vector=vector.take(left) - gain[:, 0] * part, energy=0.0)
+    else:
+        inverse = np.linalg.inv(matrix[gone[:, None], gone] + ridge * np.eye(len(gone)))
+        gain, free = cross.dot(inverse), np.einsum("ij,j->i", inverse, part)
+        lost = np.einsum("ij,j->i", gain, part)
+        rest = Information(matrix=kept - gain.dot(cross.T), vector=vector.take(left) - lost, energy=0.0)
     eta = np.empty(len(vector))
     eta[left] = 1.0 + solve(rest, tuning.gamma)
-    eta[gone] = np.minimum(np.maximum(np.einsum("ij,j->i", inverse, part), 0.0), tuning.free_max)
+    eta[gone] = np.minimum(np.maximum(free, 0.0), tuning.free_max)
     return eta
 
 

@@ -88,12 +88,11 @@ def svg(frame: Frame, title: str, failed: tuple[int, ...] = ()) -> str:
         for k, motor in enumerate(site):
             x, y = places[motor]
             at = x + (2 * k - len(site) + 1) * _RADIUS
-            parts += _rotor(frame, motor, at, y)
-            parts += [_crossed(motor, at, y)] if motor + 1 in failed else []
+            parts += _rotor(frame, motor, at, y, crossed=motor + 1 in failed)
     return "\n".join([*parts, "</g>", "</svg>"]) + "\n"
 
 
-def _rotor(frame: Frame, motor: int, x: float, y: float) -> list[str]:
+def _rotor(frame: Frame, motor: int, x: float, y: float, *, crossed: bool) -> list[str]:
     spin = int(frame.spin[motor])
     colour, r = _COLOURS[spin], _RADIUS
     out = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r:g}" fill="white" stroke="{colour}" stroke-width="3"/>']
@@ -101,7 +100,11 @@ def _rotor(frame: Frame, motor: int, x: float, y: float) -> list[str]:
         # An arrow head on top of the circle: to the right is clockwise.
         out.append(f'<path d="M {x - 7 * spin:.1f} {y - r:.1f} l {13 * spin} -8 v 16 z" fill="{colour}"/>')
     name = SPIN_NAMES[spin] if spin else ""
-    out.append(f'<text x="{x:.1f}" y="{y + 6:.1f}" font-size="18" fill="{colour}">{motor + 1}</text>')
+    if crossed:
+        out.append(_crossed(motor, x, y))
+    # The number is read over the cross.
+    over = ' stroke="white" stroke-width="9" paint-order="stroke"' if crossed else ""
+    out.append(f'<text x="{x:.1f}" y="{y + 6:.1f}" font-size="18" fill="{colour}"{over}>{motor + 1}</text>')
     out.append(f'<text x="{x:.1f}" y="{y + 20:.1f}" font-size="10" fill="{colour}">{name}</text>')
     return out
 

@@ -215,10 +215,15 @@ def _alike(one: Frame, other: Frame) -> bool:
 # -- the flight ---------------------------------------------------------------------------------------------------
 
 
+def _samples(flight: LogFlight, vehicle: Vehicle) -> Samples:
+    """Thinned. Raises NotJudged."""
+    samples = checked(flight.read(vehicle))
+    return replace(samples, rows=thinned(samples.rows))
+
+
 def _motion(flight: LogFlight, vehicle: Vehicle) -> tuple[Samples, Motion | None]:
     """Raises NotJudged."""
-    samples = checked(flight.read(vehicle))
-    samples = replace(samples, rows=thinned(samples.rows))
+    samples = _samples(flight, vehicle)
     return samples, log_fit.motion_of(samples.rows, flight.fit(vehicle), samples.outputs_hz)
 
 
@@ -245,7 +250,7 @@ def _finished(flight: LogFlight, made: _Draft, samples: Samples, motion: Motion 
         raise NotJudged(f"the vehicle that this log tells of could not fly: {fault}")
     vehicle = Vehicle(data)
     if thrusts:  # fractions of another full thrust
-        samples, _ = _motion(flight, vehicle)
+        samples = _samples(flight, vehicle)
     return Made(vehicle, [*notes, learnt], samples)
 
 

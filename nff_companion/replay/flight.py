@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -35,7 +35,7 @@ class Frame:
 class Reading:
     """``rows`` in the order of the log; ``outputs_hz`` at which the message ``outputs`` has the motors' outputs."""
 
-    rows: list[Row]
+    rows: Sequence[Row]
     outputs: str
     outputs_hz: float
 

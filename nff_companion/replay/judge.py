@@ -9,6 +9,7 @@ from nff_companion.companion_state import CompanionState, Output
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import basis_network
 from nff_companion.core.decision import Decision, Event
+from nff_companion.core.parts import Parts
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
@@ -20,6 +21,7 @@ __all__ = ["Fault", "Judgement", "judge"]
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
 _BEGIN_S = 1.0  # of each flight left out of what is explained: take-off
+_JUDGED = Parts(judged=True)
 _FILTERS_S = 0.3  # and so long after a sample that could not be used: the filters start anew
 
 
@@ -35,7 +37,8 @@ def judge(
 ) -> Judgement:
     """One flight; ``rows`` as a reader gives them, ``outputs`` the message with the motors' outputs; ``trace`` is given
     its course."""
-    companion = Companion(vehicle, rate_hz, tuning, network=basis_network.for_vehicle(vehicle, "airframe"))
+    network = basis_network.for_vehicle(vehicle, "airframe")
+    companion = Companion(vehicle, rate_hz, tuning, network=network, parts=_JUDGED)
     decision = Decision(vehicle.motors, vehicle.axes, companion.tuning.decision)
     watch, state, nobody = Watch(), companion.start(Mode.OBSERVE), Condition()
     settling: list[tuple[float, Event, Fault]] = []
@@ -79,7 +82,7 @@ def _count(watch: Watch, vehicle: Vehicle, before: CompanionState, state: Compan
         watch.troubles[state.trouble.text] += 1
     if not refused:
         command = sample.thrust if sample.thrust is not None else vehicle.thrust_fraction(sample.output)
-        watch.thrust.append(float(command.mean()))
+        watch.thrust_max = max(watch.thrust_max, float(command.sum()) / len(command))
 
 
 def _event(watch: Watch, event: Event, time_s: float) -> Fault | None:

@@ -6,6 +6,7 @@ between two frequencies, where wind and trim are not: per axis the gain over the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
 from nff_companion.replay.flight import Row
+from nff_companion.replay.table import Table
 
 Array = NDArray[np.float64]
 _GRID_HZ = 100.0
@@ -53,17 +55,14 @@ class Fit:
     lag_s: float
 
 
-def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | None:
+def motion_of(rows: Sequence[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | None:
     """None: too little of the flight is whole."""
     if len(rows) < 2:
         return None
-    time_s = np.array([sample.time_s for _, sample in rows])
+    time_s, thrust, measured, armed = _columns(rows, vehicle)
     keep = np.concatenate([[True], np.diff(np.maximum.accumulate(time_s)) > 0.0])
-    samples = [sample for (_, sample), kept in zip(rows, keep, strict=True) if kept]
-    time_s = time_s[keep]
-    thrust = np.array([s.thrust if s.thrust is not None else vehicle.thrust_fraction(s.output) for s in samples])
-    measured = np.array([np.append(s.gyro_rad_s, -s.specific_force_m_s2[2]) for s in samples])
-    whole = np.array([s.armed for s in samples]) & np.isfinite(np.hstack([thrust, measured])).all(axis=1)
+    time_s, thrust, measured, armed = time_s[keep], thrust[keep], measured[keep], armed[keep]
+    whole = armed & np.isfinite(np.hstack([thrust, measured])).all(axis=1)
     thrust, measured = (np.nan_to_num(table, posinf=0.0, neginf=0.0) for table in (thrust, measured))
     gyro, force_up = measured[:, :3], measured[:, 3]
     mean = np.where(whole, thrust.mean(axis=1), 0.0)
@@ -90,6 +89,21 @@ def motion_of(rows: list[Row], vehicle: Vehicle, outputs_hz: float) -> Motion | 
         peak=float(np.percentile(thrust[flying].max(axis=1), 99.5)),
         fast=bool(min(outputs_hz, 1.0 / step_s) >= _RATE_MIN_HZ),
     )
+
+
+def _columns(rows: Sequence[Row], vehicle: Vehicle) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Times (N,), thrust fractions (N, m), rates and upward specific force (N, 4), whether it is armed (N,)."""
+    if isinstance(rows, Table):
+        thrust = vehicle.thrust_fraction(rows.output) if rows.thrust is None else rows.thrust
+        measured = np.hstack([rows.gyro_rad_s, -rows.specific_force_m_s2[:, 2:]])
+        return rows.time_s, thrust, measured, rows.armed
+    samples = [sample for _, sample in rows]
+    if all(s.thrust is None for s in samples):
+        thrust = vehicle.thrust_fraction(np.array([s.output for s in samples]))
+    else:
+        thrust = np.array([vehicle.thrust_fraction(s.output) if s.thrust is None else s.thrust for s in samples])
+    measured = np.array([(*s.gyro_rad_s.tolist(), -float(s.specific_force_m_s2[2])) for s in samples])
+    return np.array([s.time_s for s in samples]), thrust, measured, np.array([s.armed for s in samples])
 
 
 def _take_off(mean: Array, force_up: Array, idle: float, step_s: float) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import dataflash, tlog, ulog
 from nff_companion.replay.document import document
-from nff_companion.replay.flight import LogFlight, Reading
+from nff_companion.replay.flight import LogFlight, Reading, Row
 from nff_companion.replay.judge import Judgement, judge
+from nff_companion.replay.table import Table
 
 _SAMPLES_MIN = 100
 _RATES_HZ = (25.0, 1000.0)
@@ -41,7 +42,7 @@ def reading(flight: LogFlight, vehicle: Vehicle) -> Reading:
 def checked(found: Reading) -> Reading:
     """The same. Raises NotJudged where the samples are too few."""
     if len(found.rows) >= 2:
-        rate_hz = _rate(sample for _, sample in found.rows)
+        rate_hz = _rate(found.rows)
         if rate_hz < _RATE_MIN_HZ:
             raise NotJudged(f"inertial samples at {rate_hz:.0f} Hz: {_RATE_MIN_HZ:.0f} Hz or more are needed")
     if len(found.rows) < _SAMPLES_MIN:
@@ -55,14 +56,14 @@ def read(path: Path, vehicle: Vehicle) -> tuple[float, list[tuple[float, Sample]
     """(time of the first record, [(time of arrival, sample)]) of a log with one flight. Raises LogError."""
     flight = _only(path)
     try:
-        return flight.first_s, reading(flight, vehicle).rows
+        return flight.first_s, list(reading(flight, vehicle).rows)
     except NotJudged as error:
         raise NotJudged(f"{path}: {error}") from error
 
 
 def rate_of(samples: Iterable[Sample]) -> float:
     """Rate in Hz at which a live link would have been configured."""
-    return float(np.clip(_rate(samples), *_RATES_HZ))
+    return rate_of_rows([(sample.time_s, sample) for sample in samples])
 
 
 def replay(path: Path, vehicle: Vehicle, tuning: Tuning | None = None) -> dict[str, Any]:
@@ -75,8 +76,13 @@ def replay_all(path: Path, vehicle: Vehicle, tuning: Tuning | None = None) -> li
     return [_judged(flight, vehicle, tuning) for flight in flights(path)]
 
 
-def _rate(samples: Iterable[Sample]) -> float:
-    gaps = np.diff([s.time_s for s in samples])
+def rate_of_rows(rows: Sequence[Row]) -> float:
+    """The same of rows."""
+    return float(np.clip(_rate(rows), *_RATES_HZ))
+
+
+def _rate(rows: Sequence[Row]) -> float:
+    gaps = np.diff(rows.time_s if isinstance(rows, Table) else [sample.time_s for _, sample in rows])
     gaps = gaps[gaps > 0.0]
     return 1.0 / float(np.median(gaps)) if len(gaps) else 0.0
 
@@ -94,7 +100,7 @@ def _judged(flight: LogFlight, vehicle: Vehicle, tuning: Tuning | None) -> dict[
     except NotJudged as error:
         return document(flight, Judgement("not_judged", str(error), 0.0, 0, None, []), 0.0)
     rows = found.rows
-    rate_hz = rate_of(sample for _, sample in rows)
+    rate_hz = rate_of_rows(rows)
     fitted = flight.fit(vehicle)
     judgement = judge(fitted, rows, rate_hz, flight.first_s, found.outputs, found.outputs_hz, tuning)
     return document(flight, judgement, rows[-1][0] - flight.first_s)

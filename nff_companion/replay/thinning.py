@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -10,78 +12,67 @@ from numpy.typing import NDArray
 
 from nff_companion.core.sample import Sample
 from nff_companion.replay.flight import Row
+from nff_companion.replay.table import Table
+
+Array = NDArray[np.float64]
 
 RATE_HZ = 100.0  # as much as is known of a motor within the tenth of a second in which it is named
 _GAP = 2.5  # intervals without a sample: what is on either side is not averaged
+_AVERAGED = ("gyro_rad_s", "specific_force_m_s2", "output", "thrust")
 _KEPT_MIN = 0.9  # of the samples: what comes in pairs or bursts is left as it is
 
 
-def thinned(rows: list[Row], rate_hz: float = RATE_HZ) -> list[Row]:
+def thinned(rows: Sequence[Row], rate_hz: float = RATE_HZ) -> Sequence[Row]:
     """Means of so many samples in a row that about ``rate_hz`` are left; ``rows`` themselves where they are no more
     than that. Gyro, accelerometer and outputs are averaged alike, so that what filters show stays comparable; of all
     else the last counts. Samples on either side of a gap, armed and disarmed ones are not mixed."""
     if len(rows) < 2:
         return rows
-    time_s = np.array([sample.time_s for _, sample in rows])
-    steps = np.diff(time_s)
-    steps_forward = steps[steps > 0.0]
-    if len(steps_forward) == 0:
+    if isinstance(rows, Table):
+        time_s, armed = rows.time_s, rows.armed
+    else:
+        time_s = np.array([sample.time_s for _, sample in rows])
+        armed = np.array([sample.armed for _, sample in rows])
+    first, many = _groups(time_s, armed, rate_hz)
+    if many < 2 or many * len(first) < _KEPT_MIN * len(rows):
         return rows
-    step_s = float(np.median(steps_forward))
-    many = round(1.0 / (step_s * rate_hz))
-    if many < 2:
-        return rows
-    armed = np.array([sample.armed for _, sample in rows])
-    breaks = np.flatnonzero((steps <= 0.0) | (steps > _GAP * step_s) | (armed[1:] != armed[:-1])) + 1
-    first = np.concatenate(
-        [np.arange(a, b - many + 1, many) for a, b in zip([0, *breaks], [*breaks, len(rows)], strict=True)]
-    ).astype(int)
-    if many * len(first) < _KEPT_MIN * len(rows):
-        return rows
-    columns: list[Callable[[Sample], Any]] = [
-        lambda sample: sample.gyro_rad_s,
-        lambda sample: sample.specific_force_m_s2,
-        lambda sample: sample.output,
-        lambda sample: sample.thrust,
-    ]
-    samples = [sample for _, sample in rows]
-    means = [_means(samples, column, first, many) for column in columns]
     times = _mean(time_s, first, many)
+    if isinstance(rows, Table):
+        last = rows.taken(first + many - 1)
+        averaged = {name: getattr(rows, name) for name in _AVERAGED}
+        means: dict[str, Any] = {k: None if v is None else _mean(v, first, many) for k, v in averaged.items()}
+        return replace(last, time_s=times, **means)
+    samples = [sample for _, sample in rows]
+    found = {name: _means(samples, attrgetter(name), first, many) for name in _AVERAGED}
     out: list[Row] = []
     for index, begin in enumerate(first):
-        stamp, last = rows[begin + many - 1]
-        out.append((stamp, _sample(last, float(times[index]), [None if m is None else m[index] for m in means])))
+        stamp, sample = rows[begin + many - 1]
+        means = {name: mean[index] for name, mean in found.items() if mean is not None}
+        out.append((stamp, replace(sample, time_s=float(times[index]), **means)))
     return out
 
 
-def _means(
-    samples: list[Sample], column: Callable[[Sample], Any], first: NDArray[np.int64], many: int
-) -> NDArray[np.float64] | None:
+def _groups(time_s: Array, armed: NDArray[np.bool_], rate_hz: float) -> tuple[NDArray[np.int64], int]:
+    """Where each of the means begins (K,), and of how many samples it is; 1: they are seldom enough."""
+    steps = np.diff(time_s)
+    steps_forward = steps[steps > 0.0]
+    step_s = float(np.median(steps_forward)) if len(steps_forward) else np.inf
+    many = round(1.0 / (step_s * rate_hz))
+    if many < 2:
+        return np.arange(len(time_s)), 1
+    breaks = np.flatnonzero((steps <= 0.0) | (steps > _GAP * step_s) | (armed[1:] != armed[:-1])) + 1
+    parts = zip([0, *breaks], [*breaks, len(time_s)], strict=True)
+    return np.concatenate([np.arange(a, b - many + 1, many) for a, b in parts]).astype(int), many
+
+
+def _means(samples: list[Sample], column: Callable[[Sample], Any], first: NDArray[np.int64], many: int) -> Array | None:
+    """(K, c); None where not all samples have the same of it."""
     values = [column(sample) for sample in samples]
-    if any(value is None for value in values) or len({value.shape for value in values}) != 1:
+    if any(value is None for value in values) or len({len(value) for value in values}) != 1:
         return None
-    table = np.array(values)
-    return _mean(table, first, many)
+    return _mean(np.concatenate(values).reshape(len(values), -1), first, many)
 
 
-def _mean(table: NDArray[np.float64], first: NDArray[np.int64], many: int) -> NDArray[np.float64]:
-    out: NDArray[np.float64] = np.mean([table[first + k] for k in range(many)], axis=0)
+def _mean(table: Array, first: NDArray[np.int64], many: int) -> Array:
+    out: Array = np.mean([table[first + k] for k in range(many)], axis=0)
     return out
-
-
-def _sample(last: Sample, time_s: float, means: list[NDArray[np.float64] | None]) -> Sample:
-    gyro, force, output, thrust = means
-    return Sample(
-        time_s=time_s,
-        gyro_rad_s=last.gyro_rad_s if gyro is None else gyro,
-        specific_force_m_s2=last.specific_force_m_s2 if force is None else force,
-        output=last.output if output is None else output,
-        armed=last.armed,
-        quaternion=last.quaternion,
-        position_m=last.position_m,
-        velocity_m_s=last.velocity_m_s,
-        landed=last.landed,
-        thrust=last.thrust if thrust is None else thrust,
-        rotor_speed_rad_s=last.rotor_speed_rad_s,
-        rotor_speed_time_s=last.rotor_speed_time_s,
-    )

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core.airframe_file import MOTORS_MIN
-from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.replay import px4_outputs
@@ -21,13 +20,13 @@ from nff_companion.replay.flight import (
     Frame,
     LogFlight,
     Reading,
-    Row,
     interpolated,
     newest,
     rate_of_outputs,
 )
 from nff_companion.replay.parameters import Parameters
 from nff_companion.replay.px4_outputs import Commands, Topic, Topics, columns, time_of
+from nff_companion.replay.table import Table
 
 _IMU = "sensor_combined"
 _ESCS = 8
@@ -43,7 +42,7 @@ def flights(path: Path) -> list[LogFlight]:
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            log = ULog(str(path))
+            log = ULog(io.BytesIO(path.read_bytes()))
     except Exception as error:  # pyulog raises whatever its parser trips over
         raise LogError(f"{path} is not a readable ULog: {error}") from error
     topics: dict[tuple[str, int], Topic] = {
@@ -60,7 +59,8 @@ def flights(path: Path) -> list[LogFlight]:
     on = np.zeros((0, 2)) if armed is None else armed[armed[:, 1] > 0.0]
     take_off_s = float(on[0, 0]) if len(on) else first_s
     values = parameters.at(take_off_s)
-    notes = [f"{len(log.dropouts)} dropouts of the logger"] if log.dropouts else []
+    dropouts = len(log.dropouts)
+    notes = [f"{dropouts} dropout{'s' if dropouts > 1 else ''} of the logger"] if dropouts else []
     if getattr(log, "file_corruption", False) or printed.getvalue().strip():
         notes.append("parts of the file are corrupt and were passed over")
     return [
@@ -121,25 +121,20 @@ def _rows(
     positions = _positions(topics, time_s)
     attitudes = _attitudes(topics, time_s)
     speed, read_s = _speeds(topics.get(("esc_status", 0)), vehicle.motors, time_s)
-    rows: list[Row] = [
-        (
-            float(time_s[k]),
-            Sample(
-                time_s=float(time_s[k]),
-                gyro_rad_s=gyro[k],
-                specific_force_m_s2=force[k],
-                output=output[k],
-                armed=bool(armed[k]),
-                quaternion=None if attitudes is None else attitudes[k],
-                position_m=None if positions is None else positions[k, :3],
-                velocity_m_s=None if positions is None else positions[k, 3:],
-                thrust=None if thrust is None else thrust[k],
-                rotor_speed_rad_s=None if speed is None else speed[k],
-                rotor_speed_time_s=None if read_s is None else read_s[k],
-            ),
-        )
-        for k in range(len(time_s))
-    ]
+    rows = Table(
+        stamp_s=time_s,
+        time_s=time_s,
+        gyro_rad_s=gyro,
+        specific_force_m_s2=force,
+        output=output,
+        armed=armed,
+        quaternion=attitudes,
+        position_m=None if positions is None else positions[:, :3],
+        velocity_m_s=None if positions is None else positions[:, 3:],
+        thrust=thrust,
+        rotor_speed_rad_s=speed,
+        rotor_speed_time_s=read_s,
+    )
     return Reading(rows, commands.name, outputs_hz)
 
 

@@ -140,7 +140,7 @@ def _unseen(watch: Watch, vehicle: Vehicle, rate_hz: float, healthy: int) -> str
         count = watch.refused_armed + watch.used_armed
         return f"{watch.refused_armed} of {count} samples while armed cannot be used: {text}"
     if watch.judged_s < _LEAST_S:
-        most = max(watch.thrust, default=0.0) / vehicle.hover
+        most = watch.thrust_max / vehicle.hover
         return (
             f"{watch.judged_s:.1f} s of flight were judged: the outputs reach {most:.2f} of what hover needs;"
             " too short a flight, or another airframe, unit or output?"

@@ -48,7 +48,7 @@ class Watch:
     residual: list[NDArray[np.float64]] = field(default_factory=list)
     shown: list[NDArray[np.float64]] = field(default_factory=list)  # (m,) each, thrust fractions as they show in them
     times: list[float] = field(default_factory=list)  # s from the first record, of each
-    thrust: list[float] = field(default_factory=list)  # mean of the motors while armed
+    thrust_max: float = 0.0  # of the mean of the motors while armed
     doubtful: tuple[int, ...] = ()  # motors (from 0) that were convincing, and too many to be declared
     doubtful_since_s: float | None = None
     suspects: tuple[int, ...] = ()

@@ -114,7 +114,7 @@ def _of_flight(flight: LogFlight, question: Question) -> tuple[dict[str, Any], s
         rows = found.rows
         fitted = flight.fit(made.vehicle)
         trace = Trace(fitted) if question.pages else None
-        rate_hz = run.rate_of(sample for _, sample in rows)
+        rate_hz = run.rate_of_rows(rows)
         duration_s = rows[-1][0] - flight.first_s
         judgement = judge(
             fitted, rows, rate_hz, flight.first_s, found.outputs, found.outputs_hz, question.tuning, trace

@@ -7,6 +7,7 @@ import pytest
 
 from nff_companion.core.sample import Sample
 from nff_companion.replay.flight import Row
+from nff_companion.replay.table import Table
 from nff_companion.replay.thinning import thinned
 
 
@@ -63,3 +64,36 @@ def test_samples_that_come_in_pairs_are_not_thrown_away() -> None:
     assert thinned(paired) is paired
     bursts = rows(np.concatenate([k + np.arange(3) / 400.0 for k in range(40)]))
     assert thinned(bursts) is bursts
+
+
+def table(rows: list[Row]) -> Table:
+    samples = [sample for _, sample in rows]
+    return Table(
+        stamp_s=np.array([stamp for stamp, _ in rows]),
+        time_s=np.array([s.time_s for s in samples]),
+        gyro_rad_s=np.array([s.gyro_rad_s for s in samples]),
+        specific_force_m_s2=np.array([s.specific_force_m_s2 for s in samples]),
+        output=np.array([s.output for s in samples]),
+        armed=np.array([s.armed for s in samples]),
+    )
+
+
+def test_columns_become_what_rows_become() -> None:
+    times = np.delete(np.arange(800) / 400.0, slice(200, 290))
+    whole = rows(times, [k > 40 for k in range(len(times))])
+    one, other = thinned(whole), thinned(table(whole))
+    assert len(one) == len(other) < len(whole) / 3
+    for (stamp, sample), (stamp_of_column, column) in zip(one, other, strict=True):
+        assert (stamp, sample.time_s, sample.armed) == (stamp_of_column, column.time_s, column.armed)
+        assert sample.gyro_rad_s.tolist() == column.gyro_rad_s.tolist()
+        assert sample.specific_force_m_s2.tolist() == column.specific_force_m_s2.tolist()
+        assert sample.output.tolist() == column.output.tolist()
+        assert column.thrust is None
+
+
+def test_a_row_that_a_table_has_not_is_an_error_and_a_part_of_it_is_a_table() -> None:
+    whole = table(rows(np.arange(10) / 50.0))
+    assert whole[-1][1].time_s == pytest.approx(0.18)
+    assert [sample.time_s for _, sample in whole[2:4]] == pytest.approx([0.04, 0.06])
+    with pytest.raises(IndexError, match="row 10 of 10"):
+        whole[10]

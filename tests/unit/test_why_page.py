@@ -18,6 +18,7 @@ from nff_companion.core import vehicle
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.replay import why
 from nff_companion.replay.page.page import page
+from nff_companion.replay.page.plot import Curve, plot
 
 EVIL = "<script>alert(1)</script>&\"'[b].bin"
 VOID = {"meta", "br", "img", "link", "input"}
@@ -141,3 +142,57 @@ def test_a_browser_draws_the_page(rng: np.random.Generator, tmp_path: Path) -> N
     )
     assert done.stdout.count('class="plot"') == 5
     assert "Motor 3 failed" in done.stdout
+
+
+TIME_S = np.linspace(10.0, 20.0, 200)
+
+
+def texts(picture: str) -> list[tuple[str, float, float]]:
+    """(text, x, y) of all that a plot has written on it."""
+    out = []
+    for node in ElementTree.fromstring(picture[: picture.index("</svg>") + 6]).iter("text"):
+        out.append((node.text or "", float(node.attrib["x"]), float(node.attrib["y"])))
+    return out
+
+
+@pytest.mark.parametrize("reach", [0.019, 0.41, 0.9, 1.9, 23.0, 41.0, 700.0])
+def test_an_axis_bears_three_numbers_at_least(reach: float) -> None:
+    picture = plot("roll, rad/s²", TIME_S, [Curve("measured", reach * np.sin(TIME_S), "#000")], [])
+    numbers = [text for text, _, _ in texts(picture) if re.fullmatch(r"-?[\d.]+", text)]
+    assert 3 <= len(numbers) <= 9
+
+
+def test_what_is_marked_is_written_beside_its_line_and_no_text_covers_another() -> None:
+    marks = [(12.0, "motor 1 named"), (12.01, "motor 3 named"), (12.6, "motor 5 named"), (19.9, "motor 1 works again")]
+    picture = plot("effectiveness", TIME_S, [Curve("motor 1", np.ones(200), "#000")], marks)
+    written = {text: (x, y) for text, x, y in texts(picture)}
+    assert "motor 1 named, motor 3 named" in written
+    assert written["motor 5 named"][1] > written["motor 1 named, motor 3 named"][1]
+    assert 'text-anchor="end">motor 1 works again' in picture
+
+
+def test_a_step_that_lasts_a_moment_is_not_cut_off() -> None:
+    values = np.where(np.arange(1000) < 4, -0.9, 0.4 * np.sin(np.arange(1000)))
+    picture = plot("yaw", np.linspace(0.0, 10.0, 1000), [Curve("measured", values, "#000")], [])
+    path = re.search(r'<path d="M0*[\d.]+ ([\d.]+) L[^"]*" fill="none"', picture)
+    assert path is not None
+    axis = {float(text): y for text, x, y in texts(picture) if re.fullmatch(r"-?[\d.]+", text) and x < 64.0}
+    per_unit = (axis[0.0] - axis[-0.5]) / 0.5
+    assert float(path[1]) == pytest.approx(axis[0.0] - 4.0 - 0.9 * per_unit, abs=0.2)
+
+
+def test_curves_are_named_once_for_all_axes(rng: np.random.Generator) -> None:
+    _, text = asked(vehicle.load("octo-x"), "octo-x", rng, {3: 0.0})
+    assert text.count('class="legend"') == 2  # the axes, and the motors
+    assert Parsed(text).text.count("less what whole motors would give") == 1 + 4  # and the titles of the curves
+
+
+def test_the_number_of_a_failed_motor_is_written_over_its_cross(rng: np.random.Generator) -> None:
+    _, text = asked(vehicle.load("octo-x"), "octo-x", rng, {3: 0.0})
+    cross = text.index('class="failed"')
+    assert re.search(r">3</text>", text[cross : cross + 500]) is not None
+
+
+def test_texts_of_a_plot_are_larger_on_a_narrow_screen(rng: np.random.Generator) -> None:
+    _, text = asked(vehicle.load("octo-x"), "octo-x", rng, {})
+    assert re.search(r"@media \(max-width: \d+px\) \{[^}]*svg\.plot \{ font-size", text) is not None

@@ -12,13 +12,14 @@ from nff_companion.allocation.plan import Plan, make_plan
 from nff_companion.core.vehicle import AXES, YAW, Vehicle
 from nff_companion.frames import drawing
 from nff_companion.replay.airframe_of_log import frame_of
-from nff_companion.replay.page.plot import Curve, plot
+from nff_companion.replay.page.plot import Curve, legend, plot
 from nff_companion.replay.trace import Course
 
 _AROUND_S = (4.0, 4.0)  # of the first declaration
 UNITS = {"thrust": "m/s²", "roll": "rad/s²", "pitch": "rad/s²", "yaw": "rad/s²"}
-_COLOURS = ("#1565c0", "#2e7d32", "#6a1b9a", "#ef6c00", "#00838f", "#ad1457", "#5d4037", "#37474f") * 2
+_COLOURS = ("#1565c0", "#2e7d32", "#6a1b9a", "#ef6c00", "#00838f", "#9e9d24", "#795548", "#000000") * 2
 _FAILED = "#d50000"
+_FAILED_ONES = (_FAILED, "#c51162", "#7f0000", "#ff4081")  # of several
 _NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'  # a file needs it, a page does not: nothing in it names a network
 _STYLE = """
 :root { color-scheme: light; }
@@ -28,10 +29,13 @@ h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
 .fault { color: #b71c1c; } .no_fault { color: #1b5e20; } .not_judged { color: #6d4c00; }
 table { border-collapse: collapse; }
 th, td { text-align: left; padding: .2em 1em .2em 0; border-bottom: 1px solid #ddd; }
-.frame svg { max-width: 320px; } svg.plot { width: 100%; height: auto; }
-.legend { margin: 0 0 1em 64px; font-size: .85em; } .legend span { margin-right: 1.2em; }
-.legend i { display: inline-block; width: 1.4em; height: .25em; margin-right: .4em; vertical-align: middle; }
-code { overflow-wrap: anywhere; }
+.frame svg { display: block; width: 100%; max-width: 320px; margin-bottom: -1.5em; }
+svg.plot { display: block; width: 100%; height: auto; margin-bottom: .6em; font-size: 11px; }
+.mark { paint-order: stroke; stroke: #fff; stroke-width: 3px; }
+.legend { margin: 0 0 1em; font-size: .85em; } .legend span { margin-right: 1.2em; display: inline-block; }
+.legend i { display: inline-block; width: 2em; margin-right: .4em; vertical-align: middle; }
+code { overflow-wrap: anywhere; font-size: .95em; }
+@media (max-width: 600px) { svg.plot { font-size: 18px; } body { margin: 1em auto; } ul { padding-left: 1.2em; } }
 """
 
 
@@ -101,10 +105,10 @@ def _faults(said: dict[str, Any]) -> str:
             f"{fault['time_s']:.2f} s",
             f"{100.0 * max(fault['effectiveness'], 0.0):.0f} %",
             f"{fault['confidence']:.2f}",
-            lifted,
+            lifted or "-",
         )
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
-    head = "<tr><th>motor</th><th>named at</th><th>thrust left</th><th>confidence</th><th></th></tr>"
+    head = "<tr><th>motor</th><th>named at</th><th>thrust left</th><th>confidence</th><th>later</th></tr>"
     return f"<h2>What happened</h2><table>{head}{''.join(rows)}</table>"
 
 
@@ -112,7 +116,7 @@ def _frame(said: dict[str, Any], vehicle: Vehicle | None) -> str:
     if vehicle is None:
         return ""
     picture = drawing.svg(frame_of(vehicle), vehicle.name, tuple(_failed(said)))
-    return f'<div class="frame">{picture.replace(_NAMESPACE, "", 1)}</div>'
+    return f'<h2>The frame, seen from above</h2><div class="frame">{picture.replace(_NAMESPACE, "", 1)}</div>'
 
 
 def _done(said: dict[str, Any], vehicle: Vehicle) -> str:
@@ -153,20 +157,21 @@ def _evidence(said: dict[str, Any], vehicle: Vehicle, course: Course) -> str:
             if fault["time_s"] <= first_s + _AROUND_S[1]:
                 loss[fault["motor"] - 1] = 1.0 - min(max(fault["effectiveness"], 0.0), 1.0)
         explained = -(course.thrust * loss) @ vehicle.acceleration_effectiveness.T
-    parts = []
+    parts, curves = [], list[Curve]()
     for axis, name in enumerate(AXES):
         curves = [Curve("measured, less what whole motors would give", course.residual[inside, axis], "#455a64")]
         if explained is not None:
             curves.append(
-                Curve(f"what the loss of {_motors(_failed(said))} explains", explained[inside, axis], _FAILED, 2)
+                Curve(f"what that would be with {_motors(_failed(said))} lost", explained[inside, axis], _FAILED, 2)
             )
         parts.append(plot(f"{name}, {UNITS[name]}", course.time_s[inside], curves, marks))
     said_of = (
-        "Where the red curve follows the grey one after the failure, and only then, the named loss is the explanation."
+        "Where the red curve and the grey one lie apart before the failure, and together after it, the named loss is"
+        " the explanation."
         if faults
         else "What was measured is compared with what whole motors would give: a lost motor leaves a lasting step."
     )
-    return f"<h2>Evidence</h2><p>{said_of}</p>" + "\n".join(parts)
+    return "\n".join([f"<h2>Evidence</h2><p>{said_of}</p>", legend(curves), *parts])
 
 
 def _effectiveness(said: dict[str, Any], course: Course) -> str:
@@ -175,15 +180,16 @@ def _effectiveness(said: dict[str, Any], course: Course) -> str:
         Curve(
             f"motor {motor}" + (", failed" if motor in failed else ""),
             course.effectiveness[:, motor - 1],
-            _FAILED if motor in failed else _COLOURS[motor - 1],
+            _FAILED_ONES[failed.index(motor) % len(_FAILED_ONES)] if motor in failed else _COLOURS[motor - 1],
             2.5 if motor in failed else 1.2,
             dashed=motor not in failed,
         )
         for motor in range(1, course.effectiveness.shape[1] + 1)
     ]
     marks = [(fault["time_s"], f"motor {fault['motor']} named") for fault in said["faults"]]
-    drawn = plot("effectiveness, 1: whole", course.time_s, curves, marks, (-0.3, 1.3))
-    return f"<h2>The motors over the flight</h2>{drawn}"
+    marks += [(f["lifted_s"], f"motor {f['motor']} works again") for f in said["faults"] if f["lifted_s"] is not None]
+    drawn = plot("effectiveness, 1: whole, 0: lost", course.time_s, curves, marks, (-0.3, 1.5))
+    return f"<h2>The motors over the flight</h2>{legend(curves)}{drawn}"
 
 
 def _made(said: dict[str, Any]) -> str:

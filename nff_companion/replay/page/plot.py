@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 _WIDTH, _HEIGHT = 760.0, 190.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 64.0, 12.0, 26.0, 28.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 64.0, 26.0, 26.0, 30.0
+_MARK_HEIGHT, _CHARACTER = 20.0, 9.0  # of the texts beside marks, as large as they become on a narrow screen
+_TOGETHER = 6.0  # marks as near to each other as this are one
 _POINTS_MAX = 1500
-_TICKS_X, _TICKS_Y = 8, 4
+_TICKS_X, _TICKS_Y, _TICKS_MIN = 8, 4, 3
+_BEYOND = 3.0  # times what nearly all values span: so much more is shown for the rest of them
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,8 @@ def plot(
     marks: list[tuple[float, str]],
     limits: tuple[float, float] | None = None,
 ) -> str:
-    """Over ``time_s`` (K,); ``marks``: (time, text) of upright lines; ``limits`` of the values, None: theirs."""
+    """Over ``time_s`` (K,); ``marks``: (time, text) of upright lines; ``limits`` of the values, None: theirs. Which
+    curve is which ``legend`` says."""
     finite = np.concatenate([c.values[np.isfinite(c.values)] for c in curves] or [np.zeros(0)])
     if len(time_s) < 2 or len(finite) == 0:
         return f"<p>{escape(title)}: nothing was judged.</p>"
@@ -49,9 +53,9 @@ def plot(
         return np.asarray(_HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM))
 
     parts = [
-        f'<svg class="plot" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img" font-family="sans-serif" font-size="11">',
+        f'<svg class="plot" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img" font-family="sans-serif">',
         f"<title>{escape(title)}</title>",
-        f'<text x="{_LEFT:g}" y="14" font-weight="bold">{escape(title)}</text>',
+        f'<text x="{_LEFT:g}" y="16" font-weight="bold">{escape(title)}</text>',
     ]
     for value in _ticks(low, high, _TICKS_Y):
         at = float(y(value))
@@ -60,14 +64,38 @@ def plot(
     for value in _ticks(begin, end, _TICKS_X):
         at = float(x(value))
         parts.append(f'<text x="{at:.1f}" y="{_HEIGHT - 10:g}" text-anchor="middle">{value:g} s</text>')
-    for moment, text in marks:
-        if begin <= moment <= end:
-            at = float(x(moment))
-            line = f'<path d="M {at:.1f} {_TOP:g} V {_HEIGHT - _BOTTOM:g}" stroke="#d50000" stroke-dasharray="4 3">'
-            parts.append(f"{line}<title>{escape(text)}</title></path>")
     for curve in curves:
         parts.append(_path(curve, x(time_s), y(curve.values)))
-    return "\n".join([*parts, "</svg>", _legend(curves)])
+    parts += _marks([(float(x(moment)), text) for moment, text in marks if begin <= moment <= end])
+    return "\n".join([*parts, "</svg>"])
+
+
+def _marks(marks: list[tuple[float, str]]) -> list[str]:
+    """Lines at (x, text), their texts beside them: of lines at nearly one place in one, and below each other where they
+    would meet."""
+    together: list[tuple[float, list[str]]] = []
+    for at, text in sorted(marks):
+        if together and at - together[-1][0] < _TOGETHER:
+            together[-1][1].append(text)
+        else:
+            together.append((at, [text]))
+    out, rows = [], list[float]()  # where the last text of each row ends
+    for at, texts in together:
+        text = escape(", ".join(texts))
+        length = _CHARACTER * len(text)
+        left = at + 5.0 + length > _WIDTH
+        begin = at - 5.0 - length if left else at + 5.0
+        row = next((k for k, end in enumerate(rows) if end < begin), len(rows))
+        rows[row : row + 1] = [begin + length]
+        out.append(
+            f'<path d="M {at:.1f} {_TOP:g} V {_HEIGHT - _BOTTOM:g}" stroke="#d50000" stroke-dasharray="4 3">'
+            f"<title>{text}</title></path>"
+        )
+        out.append(
+            f'<text class="mark" x="{at - 5.0 if left else at + 5.0:.1f}" y="{_TOP + 12.0 + row * _MARK_HEIGHT:.1f}"'
+            f' fill="#b71c1c" text-anchor="{"end" if left else "start"}">{text}</text>'
+        )
+    return out
 
 
 def _path(curve: Curve, x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
@@ -86,15 +114,23 @@ def _path(curve: Curve, x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
     )
 
 
-def _legend(curves: list[Curve]) -> str:
-    entries = [f'<span><i style="background:{c.colour}"></i>{escape(c.name)}</span>' for c in curves]
+def legend(curves: list[Curve]) -> str:
+    """Which curve is which."""
+    entries = [
+        f'<span><i style="border-top: {max(c.width, 2.0):g}px {"dashed" if c.dashed else "solid"} {c.colour}"></i>'
+        f"{escape(c.name)}</span>"
+        for c in curves
+    ]
     return f'<p class="legend">{"".join(entries)}</p>'
 
 
 def _span(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Of all but the outermost, which would squeeze the rest."""
+    """Of all but the outermost where those would squeeze the rest."""
     low, high = (float(value) for value in np.percentile(values, (0.5, 99.5)))
     low, high = min(low, 0.0), max(high, 0.0)
+    least, most = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+    if most - least <= _BEYOND * (high - low):
+        low, high = least, most
     room = 0.08 * (high - low) or 1.0
     return low - room, high + room
 
@@ -103,5 +139,10 @@ def _ticks(low: float, high: float, about: int) -> list[float]:
     """Round numbers within."""
     rough = (high - low) / about
     power = 10.0 ** math.floor(math.log10(rough))
-    step = power * next(m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough)
-    return [round(k * step, 10) + 0.0 for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    steps = [power * m for m in (10.0, 5.0, 2.0, 1.0, 0.5)]
+    first = next(k for k in range(len(steps), 0, -1) if steps[k - 1] >= rough) - 1
+    for step in steps[first:]:
+        ticks = [round(k * step, 10) + 0.0 for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+        if len(ticks) >= _TICKS_MIN:
+            break
+    return ticks
