@@ -29,7 +29,7 @@ class Verdict:
     @property
     def enough(self) -> bool:
         """Whether the number may be relied upon."""
-        return self.deviation <= self.most
+        return bool(self.deviation <= self.most)
 
 
 def verdicts(fit: Fit) -> list[Verdict]:

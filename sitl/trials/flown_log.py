@@ -18,10 +18,20 @@ _STREAMS_HZ = {
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
 }
+_PARAMETERS = ("MOT_THST_EXPO", "MOT_SPIN_MIN", "MOT_SPIN_MAX", "INS_GYRO_FILTER")  # that a log may tell
+_ENDING = 0.45  # of a short flight: the script's, with climb and turns
 _AGAIN_S = 5.0, 110.0  # of the healthy script: what comes before gust and payload is flown again
 
 
-def write(fleet: Fleet, paths: list[Path], seconds: float) -> None:
+def _script_s(time_s: float, seconds: float) -> float:
+    """Where in the script a flight of so many ``seconds`` is: a short one leaves out the middle, not the turns."""
+    first, last = _AGAIN_S
+    if seconds < last:
+        return time_s if time_s < (1.0 - _ENDING) * seconds else last - (seconds - time_s)
+    return time_s if time_s < last else first + (time_s - last) % (last - first)
+
+
+def write(fleet: Fleet, paths: list[Path], seconds: float, *, parameters: bool = False) -> None:
     """Fly steps, a square, climbs and turns, and keep what each vehicle tells, one file for each."""
     script = Script(fleet)
     codec = Codec(SYSTEM, COMPANION_COMPONENT)
@@ -32,11 +42,12 @@ def write(fleet: Fleet, paths: list[Path], seconds: float) -> None:
                 SYSTEM, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0
             )
             autopilot.take(codec.pack(ask))
+        for name in _PARAMETERS if parameters else ():
+            autopilot.take(codec.pack(dialect.MAVLink_param_request_read_message(SYSTEM, 1, name.encode(), -1)))
     files = [path.open("wb") for path in paths]
-    first, last = _AGAIN_S
     while fleet.time_s < seconds:
         time_s = fleet.time_s
-        script.step(time_s if time_s < last else first + (time_s - last) % (last - first))
+        script.step(_script_s(time_s, seconds))
         fleet.step()
         stamp = _STAMP.pack(round(1e6 * (1_700_000_000.0 + fleet.time_s)))
         for autopilot, file in zip(autopilots, files, strict=True):

@@ -1,0 +1,97 @@
+"""README, Your airframe: from a log and a frame's name to a companion that observes, by the commands named there."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from flying import Flying, wait_for
+
+from nff_companion.frames import catalogue
+from nff_companion.frames.servo_functions import function_of
+from sitl import airframe as plant_airframe
+from sitl.fleet import Fleet, FleetOptions
+from sitl.trials import flown_log
+from sitl.trials.process import free_port
+from sitl.uncertainty import Uncertainty
+
+pytestmark = pytest.mark.realtime
+FLIGHT_S = 45.0
+
+
+class Owner:
+    """Somebody at a shell, in a folder of his own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def nff(self, *arguments: str, codes: tuple[int, ...] = (0,)) -> Any:
+        """The JSON document of a command that ends with one of ``codes``."""
+        command = [sys.executable, "-m", "nff_companion.cli.main", *arguments, "--json"]
+        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False)
+        assert done.returncode in codes, done.stderr + done.stdout
+        return json.loads(done.stdout)
+
+    def runs(self, *arguments: str) -> subprocess.Popen[str]:
+        """A command that goes on."""
+        command = [sys.executable, "-m", "nff_companion.cli.main", *arguments]
+        return subprocess.Popen(command, cwd=self.folder, stderr=subprocess.PIPE, text=True)
+
+
+def saved_parameters(frame: str) -> str:
+    """What a ground station saves of an ArduPilot that flies this frame."""
+    known = catalogue.by_name(frame)
+    frame_class, frame_type = known.ardupilot[0]
+    values = {"FRAME_CLASS": frame_class, "FRAME_TYPE": frame_type}
+    values |= {f"SERVO{motor}_FUNCTION": function_of(motor) for motor in range(1, known.motors + 1)}
+    return "".join(f"{name},{value}\n" for name, value in values.items())
+
+
+def test_a_vehicle_that_is_not_shipped_goes_from_its_log_to_being_observed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    owner = Owner(tmp_path)
+    # The vehicle: an octo-plus of 12 kg, off from what anybody would guess of it.
+    owner.nff("airframe", "new", "--frame", "octo-plus", "--arm", "0.75", "--mass", "12", "--out", "plant.toml")
+    options = FleetOptions(
+        seeds=[7], height_m=20.0, wind_m_s=3.0, turbulence_m_s=0.7, model_error=0.1, uncertainty=Uncertainty.estimated()
+    )
+    plant = plant_airframe.load(tmp_path / "plant.toml")
+    flown_log.write(Fleet(plant, options), [tmp_path / "flight.tlog"], FLIGHT_S, parameters=True)
+    (tmp_path / "now.param").write_text(saved_parameters("octo-plus"), encoding="utf-8")
+
+    # Exit code 1: of so short a flight something may not be known well.
+    made = owner.nff("calibrate", "flight.tlog", "--frame", "octo-plus", "--out", "mine.toml", codes=(0, 1))
+    print([verdict["name"] for verdict in made["verdicts"] if not verdict["enough"]])
+
+    owner.nff("ardupilot", "install", "--to", "card", "--airframe", "mine.toml", "--parameters", "now.param")
+    port = free_port()
+    fleet = Fleet(plant, options)
+    fleet.autopilot.disarm(0)
+    link = ["--airframe", "mine.toml", "--endpoint", f"udpin:127.0.0.1:{port}"]
+    with Flying(fleet, [f"udpout:127.0.0.1:{port}"], card=tmp_path / "card") as flying:
+        assert flying.server.personality is not None
+        found = {f["name"]: f for f in owner.nff("doctor", *link, "--timeout", "15", codes=(0, 1))["findings"]}
+        not_ready = {name: f["detail"] for name, f in found.items() if f["ok"] is False}
+        print(not_ready)
+        assert set(not_ready) <= {"rates"}  # a busy machine
+        daemon = owner.runs("run", *link)
+        try:
+            wait_for((tmp_path / "nff-companion.sock").exists, "the daemon's socket")
+            seen = []
+
+            def observed() -> bool:
+                seen.append(owner.nff("status"))
+                return seen[-1]["autopilot"] is not None and seen[-1]["sample_age_s"] is not None
+
+            wait_for(observed, "samples of the vehicle")
+            assert (seen[-1]["airframe"], seen[-1]["mode"]) == ("mine", "observe")
+        finally:
+            daemon.terminate()
+            daemon.communicate(timeout=20.0)
