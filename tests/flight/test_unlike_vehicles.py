@@ -20,7 +20,7 @@ from sitl.uncertainty import Uncertainty
 def test_such_a_vehicle_flies(tmp_path: Path, text: str, level: Uncertainty) -> None:
     options = FleetOptions(seeds=[1], height_m=10.0, wind_m_s=2.0, model_error=0.05, uncertainty=level)
     fleet = Fleet(airframe.load(written(tmp_path, text)), options)
-    for _ in range(2400):
+    for _ in range(1200):
         fleet.step()
     assert not fleet.state.crashed.any()
     assert np.abs(fleet.state.position_m[0] - [0.0, 0.0, -10.0]).max() < 1.5
@@ -32,7 +32,7 @@ def test_a_fleet_of_wrong_files_flies(level: Uncertainty) -> None:
     nominal = airframe.load(vehicle.path_of("octo-x"), vehicles=3)
     options = FleetOptions(seeds=[1, 2, 3], height_m=10.0, wind_m_s=3.0, uncertainty=level, model_error=0.1)
     fleet = Fleet(nominal, options)
-    for _ in range(2400):
+    for _ in range(1200):
         fleet.step()
     assert not fleet.state.crashed.any()
     assert np.abs(fleet.state.position_m - [0.0, 0.0, -10.0]).max() < 3.0

@@ -244,8 +244,8 @@ def test_status_and_lift_commands_print_one_json_document(tmp_path: Path) -> Non
 
 def test_an_unknown_airframe_ends_the_start_with_a_message(tmp_path: Path) -> None:
     text = config_text(
-        endpoint="udpin:127.0.0.1:1", airframe="no-such", mode="observe", rate_hz=200, socket=tmp_path / "s"
+        endpoint="udpin:127.0.0.1:1", airframe="octo-x", mode="observe", rate_hz=200, socket=tmp_path / "s"
     )
-    (tmp_path / "c.toml").write_text(text)
+    (tmp_path / "c.toml").write_text(text.replace('airframe = "octo-x"', 'airframe = "no-such"'))
     with DaemonProcess(tmp_path / "c.toml") as daemon:
         assert daemon.process.wait(20.0) == 1, "an unknown airframe ends the start with a message, not a trace"

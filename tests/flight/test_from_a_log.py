@@ -19,8 +19,7 @@ from sitl.trials import flown_log
 from sitl.trials.process import free_port
 from sitl.uncertainty import Uncertainty
 
-pytestmark = pytest.mark.realtime
-FLIGHT_S = 45.0
+FLIGHT_S = 40.0
 
 
 class Owner:
