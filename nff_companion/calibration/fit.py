@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from nff_companion.calibration import chain, model, noise
@@ -240,8 +241,8 @@ def fit(
     covariance = np.zeros((len(x), len(x)))
     # In deviations of the prior, so that no number is so much smaller than others that rounding eats it.
     scaled = jacobian * deviations[free]
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    covariance[np.ix_(free, free)] = inverse * np.outer(deviations[free], deviations[free])
+    root = solve_triangular(np.asarray(np.linalg.qr(scaled, mode="r")), np.diag(deviations[free]), trans="T")
+    covariance[np.ix_(free, free)] = root.T @ root  # by its root: no variance comes out below 0
     covariance += np.diag(_left_out(layout) * (deviations > 0.0))
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
