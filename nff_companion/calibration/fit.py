@@ -22,7 +22,7 @@ _THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis
 _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
-_LEFT_OUT_SHAPE = (0.0012, 0.03, 0.03, 0.03, 0.008)
+_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.03, 0.008)
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
 _LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
 

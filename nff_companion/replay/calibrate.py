@@ -117,7 +117,8 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     filters = chain.Filters(
         vehicle.telemetry.gyro_filter_hz, vehicle.telemetry.accelerometer_filter_hz, DEFAULT.residual.smoothing_s
     )
-    # With its beginning alone first: what fails later has not spoilt the vehicle that it is judged with.
+    # With its beginning alone first: what fails later has not spoilt the vehicle that it is judged with. Its yaw may be
+    # wrong, and then it is the whole flight's vehicle that says whether anything failed at all.
     prior = _known(found)
     beginning = _shortened(whole, max(_BEGINNING * whole.duration_s, 0.5 * _LEAST_S))
     start = _start_of(vehicle)
@@ -125,12 +126,17 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     _ordered(order.weigh(shares, layout), vehicle)
     prior = prior if shares.turned else replace(prior, yaw=0.0)
     begin = fitting.fit(beginning, layout, filters, inertia, start, replace(prior, yaw=0.0), rounds=2)
-    _healthy(found, _file(found, vehicle, begin, text, name)[1])
+    suspected = _failure(found, _file(found, vehicle, begin, text, name)[1])
     fit = fitting.fit(whole, layout, filters, inertia, start, prior)
     weighed = order.weigh(order.shares(whole, layout, filters, model.shape_of(fit.x, layout.full), inertia), layout)
     _ordered(weighed, vehicle)
-    written, made = _file(found, vehicle, fit, text, name)
-    _healthy(found, made)
+    try:
+        written, made = _file(found, vehicle, fit, text, name)
+    except NotJudged as error:
+        raise NotJudged(suspected or str(error)) from error
+    failed = _failure(found, made)
+    if failed:
+        raise NotJudged(suspected or failed)
     course = fitting.course(whole, layout, filters, inertia, fit.x)
     verdicts = [verdict for verdict in excitation.verdicts(fit) if verdict.deviation > 0.0]
     return Calibration(written, _numbers(vehicle, fit), verdicts, weighed, fit, course, whole.duration_s)
@@ -183,8 +189,8 @@ def _file(found: list[LogFlight], vehicle: Vehicle, fit: Fit, text: str, name: s
     return written, Vehicle(msgspec.convert(tomllib.loads(written), AirframeFile))
 
 
-def _healthy(found: list[LogFlight], vehicle: Vehicle) -> None:
-    """Raises NotJudged where a motor fails in a flight: nothing can be learnt of a vehicle that is not whole."""
+def _failure(found: list[LogFlight], vehicle: Vehicle) -> str:
+    """Which motor fails in a flight, in words: nothing can be learnt of a vehicle that is not whole; empty: none."""
     for flight in found:
         fitted = flight.fit(vehicle)
         read = reading(flight, fitted)
@@ -193,7 +199,8 @@ def _healthy(found: list[LogFlight], vehicle: Vehicle) -> None:
         said = judge(fitted, rows, rate_hz, flight.first_s, read.outputs, read.outputs_hz)
         if said.verdict == "fault":
             fault = said.faults[0]
-            raise NotJudged(
+            return (
                 f"{flight.name}: motor {fault.motor} fails {fault.time_s:.1f} s into the log; calibrate from healthy"
                 " flight"
             )
+    return ""
