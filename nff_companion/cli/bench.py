@@ -91,13 +91,17 @@ def calibration(
     airframe: Annotated[str, typer.Option(help="Airframe by name or TOML file.")] = "octo-x",
     vehicles: Annotated[int, typer.Option(help="Each with numbers of its own.", min=1)] = 50,
     seconds: Annotated[float, typer.Option(help="Of ordinary flight.")] = 180.0,
+    first_seed: Annotated[int, typer.Option(help="Of the first vehicle.")] = 101,
     identify: Annotated[bool, typer.Option("--identify", help="Fail each motor with each file.")] = False,
     json: Json = False,
 ) -> None:
     """Calibrate simulated vehicles that are off from their airframe file, and compare with the truth."""
     from sitl.trials.calibration import CalibrationOptions, measure
 
-    document = measure(CalibrationOptions(airframe=airframe, vehicles=vehicles, seconds=seconds, identify=identify))
+    options = CalibrationOptions(
+        airframe=airframe, vehicles=vehicles, seconds=seconds, first_seed=first_seed, identify=identify
+    )
+    document = measure(options)
     if json:
         print_json(document)
         return
