@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from nff_companion.calibration import chain, model, noise
-from nff_companion.calibration.model import Layout, Prior
+from nff_companion.calibration.model import BELIEVED, Layout, Prior
 from nff_companion.calibration.record import Piece, Record
 
 ROUNDS = 4  # of noise and numbers in turn
@@ -224,7 +224,7 @@ def fit(
     filters: chain.Filters,
     inertia: tuple[float, float, float],
     start: NDArray[np.float64],
-    prior: Prior = Prior(),  # noqa: B008
+    prior: Prior = BELIEVED,
     rounds: int = ROUNDS,
 ) -> Fit:
     """From the parameters ``start`` (whose gains are taken from the record), believed as ``prior`` says."""

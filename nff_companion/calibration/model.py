@@ -48,6 +48,9 @@ class Prior:
         return np.array(shape + gains + [self.motor] * motors + [self.centre] * 2 + [self.steady] * 2)
 
 
+BELIEVED = Prior()
+
+
 @dataclass(frozen=True, slots=True)
 class Layout:
     """What is taken of an airframe: ``rows`` (AXES, m) of the motors' torques, roll and pitch for a mean thrust of 1 at

@@ -8,8 +8,7 @@ compared with it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from nff_companion.calibration import chain, model
 from nff_companion.calibration.model import Layout
 from nff_companion.calibration.record import Record
+from nff_companion.core.motor_order import Order, orders
 
 # Where the vehicle's own motion is above the air's: roll and pitch; yaw, of which the air and the gyro have the rest.
 _BANDS_HZ = ((0.7, 6.0), (0.3, 2.0))
@@ -30,24 +30,6 @@ _SAME = 1e-9  # orders that differ in nothing that was seen
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """A layout and what is changed in it: motors (from 1) that are swapped, or turn the other way."""
-
-    layout: Layout
-    swapped: tuple[int, int] | None = None
-    reversed: tuple[int, ...] = ()
-
-    @property
-    def text(self) -> str:
-        """In words; empty: nothing is changed."""
-        if self.swapped:
-            return f"motors {self.swapped[0]} and {self.swapped[1]} are swapped"
-        if len(self.reversed) == self.layout.motors:
-            return "all motors turn the other way"
-        return " and ".join(f"motor {m} turns the other way" for m in self.reversed)
-
-
-@dataclass(frozen=True, slots=True)
 class Weighed:
     """The order that fits best; ``off`` of it, of the file's own and of the next best one: mean square of the shares'
     difference, over that of the shares (0: the same, 2: nothing in common)."""
@@ -58,25 +40,10 @@ class Weighed:
     off_next: float
 
 
-def orders(layout: Layout) -> list[Order]:
-    """The file's first; then every pair swapped that is not alike, every motor reversed, all of them."""
-    out = [Order(layout)]
-    for i, k in combinations(range(layout.motors), 2):
-        if np.allclose(layout.rows[:, i], layout.rows[:, k]):
-            continue
-        places = np.arange(layout.motors)
-        places[[i, k]] = k, i
-        swapped = replace(layout, rows=layout.rows[:, places], thrust=layout.thrust[places])
-        out.append(Order(swapped, swapped=(i + 1, k + 1)))
-    motors = tuple(range(1, layout.motors + 1))
-    return out + [_reversed(layout, (motor,)) for motor in motors] + [_reversed(layout, motors)]
-
-
-def _reversed(layout: Layout, motors: tuple[int, ...]) -> Order:
-    rows = layout.rows.copy()
-    index = np.array(motors) - 1
-    rows[model.YAW, index] = -rows[model.YAW, index]
-    return Order(replace(layout, rows=rows), reversed=motors)
+def considered(layout: Layout) -> list[Order]:
+    """The file's own first; then every two motors swapped, every spin reversed, and all. A turned nose is none of them:
+    gusts and spin make roll and pitch look turned by up to some twenty degrees."""
+    return [each for each in orders(layout.rows[list(_AXES)]) if not each.turned_deg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +78,7 @@ def shares(
     by_motors, cross = yaw[3:, 3:], yaw[3:, 2]
     power = max(float(yaw[2, 2]), 1e-30)
     told = float(cross @ np.linalg.lstsq(by_motors, cross, rcond=1e-6)[0]) / power
-    spins = np.array([each.layout.rows[model.YAW] for each in orders(layout)])
+    spins = np.array([each.rows[-1] for each in considered(layout)])
     along = np.maximum(spins @ cross, 0.0) ** 2 / np.einsum("om,mk,ok->o", spins, by_motors, spins) / power
     rate = np.concatenate([np.abs(piece.gyro_rad_s[:, 2]) for piece in record.pieces])
     turns = float(np.percentile(rate, 98.0)) >= _TURN_RAD_S
@@ -120,8 +87,8 @@ def shares(
 
 def weigh(found: Shares, layout: Layout) -> Weighed:
     """Which order of ``layout`` has the shares ``found``; spins alone are not judged of a flight that never turned."""
-    all_orders = [order for order in orders(layout) if found.turned or not order.reversed]
-    off = np.array([_off(found, order.layout) for order in all_orders])
+    all_orders = [each for each in considered(layout) if found.turned or not each.reversed]
+    off = np.array([_off(found, each.rows) for each in all_orders])
     ranked = np.argsort(off, kind="stable")
     best = int(ranked[0])
     if off[best] >= off[0] - _SAME:
@@ -130,8 +97,7 @@ def weigh(found: Shares, layout: Layout) -> Weighed:
     return Weighed(all_orders[best], float(off[best]), float(off[0]), following)
 
 
-def _off(found: Shares, layout: Layout) -> float:
+def _off(found: Shares, rows: NDArray[np.float64]) -> float:
     axes = slice(None) if found.turned else slice(2)
-    rows = model.unit_rows(layout, np.zeros(layout.parameters))[list(_AXES)]
     rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
     return float(np.mean((found.rows[axes] - rows[axes]) ** 2))

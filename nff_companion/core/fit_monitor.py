@@ -34,6 +34,7 @@ from nff_companion.core.vehicle import THRUST, Vehicle
 
 _COLUMNS = (*TURNS, "roll rate", "pitch rate", "yaw rate", "up")  # of what is gathered, before the m thrusts
 _AXES, _UP, _HEAD = len(TURNS), _COLUMNS.index("up"), len(_COLUMNS)
+_SUM_MAX = 1e15  # minutes of what sensors can say, squared, are below
 
 
 class FitState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -138,8 +139,15 @@ class FitMonitor:
         return self._judged(state)
 
     def _judged(self, state: FitState) -> FitState:
-        """Believed is what is said several times."""
-        fit = judged(self.seen(state), self._tuning)
+        """Believed is what is said several times. Where the sums are none of a vehicle it begins anew: it may not know,
+        and may not end what flies."""
+        anew = replace(self.start(), fit=state.fit, proven=state.proven)
+        if not float(np.abs(state.sums).max()) + float(np.abs(state.total).max()) < _SUM_MAX:  # NaN is not less
+            return anew
+        try:
+            fit = judged(self.seen(state), self._tuning)
+        except np.linalg.LinAlgError:
+            return anew
         if state.proven and fit.verdict == FitVerdict.DOES_NOT_FIT:
             return state  # the vehicle has changed, not its file
         alike = state.alike + 1 if fit.verdict == state.last else 1
@@ -153,8 +161,8 @@ class FitMonitor:
         o, seconds = self._tuning, state.count * self._look_s
         thrust, enough = None, seconds >= o.settled_s
         if enough:
-            ratio = float(state.total[_UP] / self._lift.dot(state.total[_HEAD:]))
-            thrust = Factor(ratio, ratio) if ratio > 0.0 else None
+            up, modelled_up = float(state.total[_UP]), float(self._lift.dot(state.total[_HEAD:]))
+            thrust = Factor(up / modelled_up, up / modelled_up) if up > 0.0 and modelled_up > 0.0 else None
         sums = state.sums
         modelled = self._rows.dot(sums[_HEAD : self._width])  # (3, 10 + m)
         turns, explained, later = zip(*(self._turn(sums, modelled, axis) for axis in range(_AXES)), strict=True)

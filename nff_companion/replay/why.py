@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from nff_companion.core import vehicle as vehicle_model
@@ -66,13 +67,17 @@ def logs_in(paths: list[Path]) -> list[Path]:
 
 def outputs_of(text: str) -> LogTable:
     """``TOPIC:FIELD:UNIT``, FIELD with {} for the motor's index. Raises ConfigError."""
-    parts = text.rsplit(":", 2)
-    if len(parts) != 3 or not parts[0] or parts[1].count("{}") != 1 or parts[2] not in ("N", "output", "pwm"):
+    try:
+        topic, field, unit = text.rsplit(":", 2)
+        table = msgspec.convert({"topic": topic, "field": field, "unit": unit}, LogTable)
+    except ValueError:  # of msgspec too
+        table = None
+    if table is None or not table.topic or table.field.count("{}") != 1:
         raise ConfigError(
             f"--outputs {text!r}: give TOPIC:FIELD:UNIT, FIELD with {{}} for the motor's index from 0, UNIT N, output"
             " or pwm, as unknown_logger:tdes[{}]:N"
         )
-    return LogTable(*parts)  # type: ignore[arg-type]
+    return table
 
 
 def answer(path: Path, question: Question) -> Answer:

@@ -6,6 +6,7 @@ import copy
 from dataclasses import replace
 from itertools import combinations
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -213,4 +214,27 @@ def test_a_vehicle_whose_thrusts_stand_still_says_nothing_and_ends_nothing(octo:
         gyro = 0.1 * np.sin(0.03 * k * np.array([1.0, 1.3, 0.7]))
         residual = filters.step(residual, gyro, np.array([0.0, 0.0, -9.8]), command, DT_S)
         state = monitor.step(state, residual)
+    assert state.fit.verdict == FitVerdict.UNKNOWN
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e200])
+def test_sums_that_are_no_numbers_are_forgotten_and_the_flight_goes_on(
+    octo: Vehicle, rng: np.random.Generator, spoilt: float
+) -> None:
+    monitor, seen = FitMonitor(octo, DT_S, FitTuning()), shown(octo, rng)
+    state = monitor.start()
+    sums, total = np.full_like(state.sums, spoilt), np.full_like(state.total, spoilt)
+    state = msgspec.structs.replace(state, sums=sums, total=total, count=100.0)
+    for residual in seen:
+        state = monitor.step(state, residual)
+    assert np.isfinite(state.sums).all()
+    assert state.fit.verdict != FitVerdict.DOES_NOT_FIT
+
+
+def test_an_autopilot_whose_motors_stand_still_has_no_factor_of_thrust(octo: Vehicle) -> None:
+    monitor = FitMonitor(octo, DT_S, FitTuning())
+    state = monitor.start()
+    for _ in range(4000):
+        state = monitor.lifted(state, 9.8, np.zeros(octo.motors))
+    assert monitor.seen(state).thrust is None
     assert state.fit.verdict == FitVerdict.UNKNOWN
