@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 from typer.testing import CliRunner
 
 from nff_companion.cli.main import app
+from nff_companion.companion import Companion
+from nff_companion.companion_state import Orders
+from nff_companion.condition import Condition, Mode, Reason, Statement
 from nff_companion.core import vehicle as vehicle_model
+from nff_companion.core.vehicle import Vehicle
 from nff_companion.daemon import configuration
 from nff_companion.daemon.startup import prepare
 from sitl.trials.process import free_port
@@ -46,3 +51,28 @@ def test_a_check_of_the_fit_without_a_vehicle_knows_nothing_and_says_so(tmp_path
     result = CliRunner().invoke(app, ["check", "--config", str(path), "--wait", "0.2", "--json"])
     assert result.exit_code == 2
     assert json.loads(result.stdout)["verdict"] == "unknown"
+
+
+def test_killed_and_started_again_in_flight_it_acts_on_what_it_had_declared_and_else_waits_for_the_flight(
+    octo: Vehicle,
+) -> None:
+    companion = Companion(octo, 200.0, confirmed=False)
+    fresh = companion.start(Mode.ALLOCATE)
+    assert not fresh.trusted
+    assert fresh.doubt is not None
+    assert fresh.doubt.reason is Reason.UNCONFIRMED
+    # The autopilot says what was declared before: only a file that was confirmed can have done that.
+    adopted, _ = companion.step(fresh, None, Condition(), Orders(adopt=(3,)))
+    assert adopted.trusted
+    assert adopted.failed.tolist() == [False, False, True, False, False, False, False, False]
+    nothing, _ = companion.step(fresh, None, Condition(), Orders(adopt=()))
+    assert not nothing.trusted
+
+
+def test_a_link_that_is_lost_in_flight_takes_nothing_from_what_the_flight_has_shown(octo: Vehicle) -> None:
+    companion = Companion(octo, 200.0, confirmed=False)
+    state = companion.start(Mode.ALLOCATE)
+    proven = msgspec.structs.replace(state, fit=msgspec.structs.replace(state.fit, proven=True))
+    lost, output = companion.interrupted(proven, Condition(), Statement(Reason.TELEMETRY_STOPPED))
+    assert lost.trusted
+    assert output.mode is Mode.OBSERVE  # while nothing is heard
