@@ -18,6 +18,13 @@ BOOT_S = 1.0  # the autopilot's clock when the fleet starts
 _EARTH_RADIUS_M = 6378137.0
 _SERVOS = 16
 _CUSTOM_MODE = {Mode.GROUND: 4, Mode.GUIDED: 4, Mode.LAND: 9}
+_KINDS = {
+    4: dialect.MAV_TYPE_QUADROTOR,
+    6: dialect.MAV_TYPE_HEXAROTOR,
+    8: dialect.MAV_TYPE_OCTOROTOR,
+    10: dialect.MAV_TYPE_DECAROTOR,
+    12: dialect.MAV_TYPE_DODECAROTOR,
+}  # by motors
 _HEALTHY_SENSORS = (
     dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -96,7 +103,7 @@ class Telemetry:
         state = dialect.MAV_STATE_ACTIVE if self._autopilot.armed[self._i] else dialect.MAV_STATE_STANDBY
         mode = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | dialect.MAV_MODE_FLAG_GUIDED_ENABLED | armed
         return dialect.MAVLink_heartbeat_message(
-            dialect.MAV_TYPE_OCTOROTOR,
+            _KINDS.get(self._fleet.parameters.motors, dialect.MAV_TYPE_GENERIC_MULTIROTOR),
             dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
             mode,
             _CUSTOM_MODE[Mode(int(self._autopilot.mode[self._i]))],

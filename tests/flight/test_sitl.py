@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
+from nff_companion.mavlink.codec import dialect
 from sitl import airframe, rotation
 from sitl.autopilot.companion_port import CompanionPort
 from sitl.autopilot.mixer import mix, normalised_effectiveness, stock_factors
@@ -20,6 +21,7 @@ from sitl.fleet import Fleet, FleetOptions
 from sitl.link_model import LinkModel, LinkOptions
 from sitl.noise import vehicle_generators
 from sitl.plant import Plant, initial_state
+from sitl.telemetry import Telemetry
 from sitl.wind import Wind
 
 OCTO = vehicle.path_of("octo-x")
@@ -274,3 +276,9 @@ def test_pairs_end_as_on_stock_arducopter() -> None:
     agree = 28 - len(survived ^ STOCK_SURVIVES)
     print(f"{agree} of 28 pairs end as on stock")
     assert agree >= 26
+
+
+@pytest.mark.parametrize(("name", "kind"), [("h250", 2), ("hexa-x", 13), ("octo-x", 14), ("coax-x8", 14)])
+def test_the_heartbeat_says_how_many_motors_there_are(name: str, kind: int) -> None:
+    telemetry = Telemetry(make(vehicle.path_of(name)))
+    assert telemetry.makers[dialect.MAVLINK_MSG_ID_HEARTBEAT]().type == kind
