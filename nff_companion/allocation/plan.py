@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nff_companion.allocation import Allocator, authority, problem_for
 from nff_companion.allocation.lift import balanced_thrust
 from nff_companion.allocation.verify import fault_of
+from nff_companion.condition import read_only
 from nff_companion.core.tuning import DEFAULT, PlannerTuning
 from nff_companion.core.vehicle import YAW
 from nff_companion.errors import AllocationInfeasible, SolverError
@@ -19,7 +20,7 @@ from nff_companion.errors import AllocationInfeasible, SolverError
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """``matrix`` A (m, n) verified, right inverse of ``effectiveness`` B (n, m) of the motors left;
-    ``released`` axes given up; ``unallocated`` (n,) demand not met at hover."""
+    ``released`` axes given up; ``unallocated`` (n,) demand not met at hover. Arrays are read-only."""
 
     matrix: NDArray[np.float64]
     effectiveness: NDArray[np.float64]
@@ -70,11 +71,11 @@ def make_plan(
         demand[0] = hover
         given = problem.effectiveness @ np.clip(matrix @ demand, 0.0, 1.0)
         plan = Plan(
-            matrix=matrix,
-            effectiveness=problem.effectiveness,
+            matrix=read_only(matrix),
+            effectiveness=read_only(problem.effectiveness),
             released=released,
-            authority=left,
-            unallocated=demand - given,
+            authority=read_only(left),
+            unallocated=read_only(demand - given),
         )
         if least >= (tuning.authority_floor if released else enough):
             return plan

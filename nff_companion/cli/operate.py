@@ -55,7 +55,7 @@ def _table(state: dict[str, Any]) -> Any:
     table.caption = (
         f"{state['rate_hz']:.0f} Hz, step {state['step_us']:.0f} us, last sample {age}; {allocation}; "
         f"bad samples {state['counters']['bad_samples']}, bad frames {state['counters']['bad_frames']}, "
-        f"unallocated {state['unallocated']}"
+        f"dropped frames {state['counters']['dropped']}, unallocated {state['unallocated']}"
         + "".join(f"; {name} {s['hz']:.0f} of {s['asked_hz']:.0f} Hz" for name, s in state["slow_streams"].items())
         + "".join(f"; motor {motor}: speed sensor" for motor in state["speed_sensor_faults"])
         + (f"; airframe file: {state['airframe_fit']['text']}" if "airframe_fit" in state else "")

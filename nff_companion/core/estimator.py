@@ -128,7 +128,7 @@ class Estimator:
             effectiveness=effectiveness,
             deviation=deviation,
         )
-        return new, Estimate(
+        estimate = Estimate(
             effectiveness=effectiveness,
             deviation=deviation,
             failed=decision.failed,
@@ -141,6 +141,8 @@ class Estimator:
             best=best,
             events=events,
         )
+        _shut(estimate)
+        return new, estimate
 
     def _explain(self, state: EstimatorState, measurement: Measurement) -> Seen:
         """y, what of it is expected, and W. Raises SolverError where the residual is not finite."""
@@ -269,3 +271,11 @@ class Estimator:
             longest = o.freeze_sure_s if sure else o.freeze_max_s
             return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
         return o.learn_fast_rate if time_s - started_s < o.learn_fast_s else 1.0
+
+
+def _shut(estimate: Estimate) -> None:
+    """Nobody can write to its arrays: those that the state goes on with are among them."""
+    e = estimate
+    arrays = (e.effectiveness, e.deviation, e.failed, e.raw, e.residual, e.disturbance, e.thrust_shown, e.lateral_m_s2)
+    for array in arrays if e.features is None else (*arrays, e.features):
+        array.flags.writeable = False

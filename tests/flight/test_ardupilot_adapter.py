@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sessions import from_autopilot
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
@@ -21,10 +22,13 @@ from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.ardupilot.tunnel import Flag, Kind, TunnelMessage
 from nff_companion.autopilots.base import Permit
+from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.schedule import Command, Declare, Drive, Load, Release
+from nff_companion.companion import Companion
 from nff_companion.condition import Condition, Mode, Reason, Source
 from nff_companion.core import vehicle
 from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.session import Session, SessionOptions
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
@@ -543,6 +547,37 @@ def test_before_the_autopilot_says_that_it_is_disarmed_no_table_is_sent(plans: d
     assert [inner(m).kind for m in adapter.due(0.5, Permit.ACT)] == [Kind.HEARTBEAT]
     adapter.observe(heartbeat(armed=False), 0.6)
     assert [inner(m).kind for m in adapter.due(0.6, Permit.ACT)] == [Kind.TABLE]
+
+
+@pytest.mark.parametrize(
+    ("act", "mode", "armed", "owner", "sent"),
+    [
+        (True, Mode.ALLOCATE, False, INSTANCE, True),
+        (True, Mode.OBSERVE, False, INSTANCE, False),
+        (True, Mode.ALLOCATE, True, INSTANCE, False),
+        (True, Mode.ALLOCATE, False, 99, False),
+        (False, Mode.ALLOCATE, False, INSTANCE, False),
+    ],
+    ids=["may act", "observes", "armed", "another companion's", "a check before the flight"],
+)
+def test_a_table_that_differs_is_sent_by_who_may_act_and_nobody_else(
+    plans: dict[int, Plan], act: bool, mode: Mode, armed: bool, owner: int, sent: bool
+) -> None:
+    meeting = Meeting(OCTO, "auto", "trim", Path("/nonexistent/j"), instance=INSTANCE, plans=changed(plans, 1))
+    session = Session(Companion(OCTO, 200.0), meeting, SessionOptions(mode=mode, act=act), 0.0)
+    session.take(from_autopilot(heartbeat(armed=armed)), 0, 0.0)
+    for name, value in GOOD.items():
+        session.take(from_autopilot(dialect.MAVLink_param_value_message(name.encode(), value, 9, 100, 0)), 0, 0.0)
+    check = tunnel.table_check(1, tunnel.table_bytes(factors.of_plans(OCTO, plans)[1]))
+    kinds: Counter[Kind] = Counter()
+    for k in range(300):
+        if k % 5 == 0:
+            word = applied(plans, sequence=k + 1, owner=owner, table=1, table_check=check)
+            session.take(from_autopilot(wrapped(word)), 0, 0.01 * k)
+        kinds.update(inner(i.message).kind for i in session.due(0.01 * k) if i.message.get_type() == "TUNNEL")
+    assert kinds[Kind.HEARTBEAT] > 0
+    assert (kinds[Kind.TABLE] > 0) == sent
+    assert set(kinds) <= {Kind.HEARTBEAT, Kind.TABLE}
 
 
 def test_the_second_of_two_companions_says_that_there_is_another_and_takes_over_after_its_goodbye(

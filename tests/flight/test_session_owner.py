@@ -14,6 +14,7 @@ from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode, Reason
 from nff_companion.core.sample import Sample
 from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.session import Session
 from sitl.faults import Fault
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
 
@@ -214,17 +215,34 @@ def test_a_check_asks_nothing_before_it_knows_that_the_vehicle_is_disarmed() -> 
     assert not kinds
 
 
-def test_a_check_names_a_rate_that_the_daemon_would_refuse() -> None:
+@pytest.mark.parametrize(
+    ("rate_hz", "said"), [(170.0, "HIGHRES_IMU 170 of 200 Hz"), (230.0, "samples at 230 instead of 200 Hz")]
+)
+def test_a_check_names_a_rate_that_the_daemon_would_refuse(rate_hz: float, said: str) -> None:
     session = bare_session(act=False)
+    hear_samples(session, rate_hz, 8.0)
+    rates = next(f for f in session.findings(8.0) if f.name == "rates")
+    assert rates.ok is False
+    assert said in rates.detail
+
+
+def hear_samples(session: Session, rate_hz: float, seconds: float) -> None:
     session.take(autopilot_heartbeat(), 0, 0.0)
-    for k in range(1, 1400):
-        now = k / 170.0
+    for k in range(1, round(seconds * rate_hz)):
+        now = k / rate_hz
         imu = dialect.MAVLink_highres_imu_message(round(1e6 * now), 0, 0, -9.81, *[0.0] * 10, 63)
         session.take(from_autopilot(imu), 0, now)
         session.due(now)
-    rates = next(f for f in session.findings(1400 / 170.0) if f.name == "rates")
-    assert rates.ok is False
-    assert "HIGHRES_IMU 170 of 200 Hz" in rates.detail
+
+
+@pytest.mark.parametrize(("rate_hz", "built_hz"), [(185.0, 185.0), (212.0, 212.0), (170.0, 200.0), (100.0, 200.0)])
+def test_the_estimator_is_built_for_the_rate_that_arrives_or_refuses_it(rate_hz: float, built_hz: float) -> None:
+    """10 % beside what was agreed it may be; beyond, nothing is estimated from it."""
+    session = bare_session()
+    hear_samples(session, rate_hz, 2.0)
+    assert session.companion.rate_hz == pytest.approx(built_hz, rel=0.005)
+    assert session.document(2.0)["built_for_hz"] == pytest.approx(built_hz, rel=0.005)
+    assert (session.moment().condition.samples is None) == (rate_hz == built_hz)
 
 
 def test_streams_that_this_autopilot_lacked_are_asked_for_again_after_it_was_gone() -> None:

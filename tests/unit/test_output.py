@@ -149,11 +149,13 @@ def test_a_status_with_brackets_in_it_is_shown_as_it_is(capsys: pytest.CaptureFi
         "rate_hz": 1.0,
     }
     state |= {"motors": [{"motor": 1, "effectiveness": 1.0, "deviation": None, "decision": "healthy"}], "step_us": 1.0}
-    state |= {"autopilot": {"allocation": "[own]"}, "counters": {"bad_samples": 0, "bad_frames": 0}, "unallocated": 0}
+    state |= {"autopilot": {"allocation": "[own]"}, "unallocated": 0}
+    state |= {"counters": {"bad_samples": 0, "bad_frames": 0, "dropped": 7}}
     state |= {"slow_streams": {}, "speed_sensor_faults": []}
     output.console.print(_table(state))
     said = " ".join(capsys.readouterr().err.split())
     assert "[lab]" in said
     assert "[/x] contradicts" in said
     assert "[own]" in said
+    assert "dropped frames 7" in said
     assert "healthy" in said

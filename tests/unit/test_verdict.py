@@ -1,0 +1,118 @@
+"""What is said to be in force is what the autopilot confirmed, in every way of saying it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from stepping import Stepped
+
+from nff_companion.allocation import allocator
+from nff_companion.allocation.plan import Plan, make_plan
+from nff_companion.announcer import Announcer
+from nff_companion.autopilots.times import CONFIRM_MAX_S
+from nff_companion.companion_state import Output
+from nff_companion.condition import Condition, InForce, Mode, Reason, Source, Statement, read_only
+from nff_companion.core.parts import FLOWN
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.mavlink.codec import dialect
+from nff_companion.reporting import Moment, Reporter
+from nff_companion.verdict import Confirmation, confirmed, verdict
+
+THIRD = read_only(np.eye(8, dtype=bool)[2])
+NOBODY = read_only(np.zeros(8, bool))
+WORKING = np.where(THIRD, 0.0, 1.0)
+
+
+@pytest.fixture
+def plan(octo: Vehicle) -> Plan:
+    found = make_plan(allocator("trim"), octo.effectiveness, WORKING, octo.hover)
+    assert isinstance(found, Plan)
+    return found
+
+
+def wanting(**change: Any) -> Output:
+    """What a companion in flight wants of the autopilot."""
+    return replace(Stepped().state.last, mode=Mode.ALLOCATE, flying=True, obstacle=None, **change)
+
+
+def holding(source: Source, failed: Any = THIRD, *, takes_matrix: bool = True) -> Condition:
+    return Condition(takes_matrix=takes_matrix, in_force=InForce(source, failed))
+
+
+def test_motors_are_confirmed_by_the_same_set_and_nothing_else(plan: Plan) -> None:
+    output = wanting(failed=THIRD, plan=plan)
+    assert confirmed(output, holding(Source.MATRIX))
+    for other in (NOBODY, np.eye(8, dtype=bool)[1], THIRD | np.eye(8, dtype=bool)[1], None):
+        assert not confirmed(output, holding(Source.MATRIX, other))
+    assert not confirmed(wanting(), holding(Source.DECLARATION)), "lifted, and still held"
+
+
+def test_a_matrix_is_confirmed_by_a_matrix(plan: Plan) -> None:
+    output = wanting(failed=THIRD, plan=plan)
+    held = {source: confirmed(output, holding(source)) for source in Source}
+    assert held == {Source.STOCK: False, Source.DECLARATION: False, Source.MATRIX: True, Source.OVERRIDE: True}
+    assert confirmed(output, holding(Source.DECLARATION, takes_matrix=False)), "none was sent"
+
+
+def test_outputs_are_confirmed_by_outputs() -> None:
+    output = replace(wanting(override=np.full(8, 0.5)), mode=Mode.OVERRIDE)
+    assert [source for source in Source if confirmed(output, holding(source, NOBODY))] == [Source.OVERRIDE]
+
+
+def test_a_partial_loss_that_is_told_by_declaration_is_confirmed_by_one() -> None:
+    output = wanting(degraded=THIRD, effectiveness=np.where(THIRD, 0.5, 1.0))
+    held = [s for s in Source if confirmed(output, holding(s, NOBODY, takes_matrix=False))]
+    assert held == [Source.DECLARATION]
+
+
+def test_what_is_wanted_and_not_confirmed_is_said_after_its_time_and_never_claimed(plan: Plan) -> None:
+    output, waiting = wanting(failed=THIRD, plan=plan), Confirmation()
+    for condition, reasons in (
+        (holding(Source.STOCK, NOBODY), {Reason.TELLING, Reason.NOT_CONFIRMED}),
+        (holding(Source.MATRIX), {Reason.REALLOCATED}),
+        (holding(Source.DECLARATION), {Reason.TELLING, Reason.NOT_CONFIRMED}),
+    ):
+        said = []
+        for k in range(100):
+            unconfirmed_s = waiting.step(output, condition, 0.01 * k)
+            said.append((0.01 * k, verdict(output, condition, Mode.ALLOCATE, FLOWN, unconfirmed_s).reason))
+        assert {reason for _, reason in said} == reasons
+        late = [at_s for at_s, reason in said if reason == Reason.NOT_CONFIRMED]
+        assert not late or CONFIRM_MAX_S < late[0] < CONFIRM_MAX_S + 0.02
+
+
+@pytest.mark.parametrize("source", list(Source))
+def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, source: Source) -> None:
+    output, condition = wanting(failed=THIRD, plan=plan), holding(source, NOBODY)
+    adapter: Any = type("Heard", (), {"name": "nff", "target": (1, 1)})
+    moment = Moment(output, condition, Mode.ALLOCATE, Statement(Reason.TELLING, "3"), adapter)
+    reporter = Reporter(octo, None, 1)
+    (status,) = [m for m in reporter.due(moment, 0.0) if m.get_type() == "NFF_COMPANION_STATUS"]
+    assert status.source == source
+    document = reporter.document(moment, 0.0, [])
+    assert document["failed"] == [3]
+    assert document["autopilot"]["failed"] == []
+    assert document["autopilot"]["allocation"] == source.name.lower()
+
+
+@pytest.mark.parametrize(
+    ("reason", "severity", "word"),
+    [
+        (Reason.NO_LIFT, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.NO_PLAN, dialect.MAV_SEVERITY_CRITICAL, "no new matrix"),
+        (Reason.NOT_TOLD, dialect.MAV_SEVERITY_CRITICAL, "not told"),
+        (Reason.NOT_CONFIRMED, dialect.MAV_SEVERITY_CRITICAL, "NOT confirmed"),
+        (Reason.TWIN, dialect.MAV_SEVERITY_ERROR, "companion"),
+        (Reason.RATE, dialect.MAV_SEVERITY_ERROR, "Hz"),
+        (Reason.TELEMETRY_STOPPED, dialect.MAV_SEVERITY_ERROR, "stopped"),
+    ],
+)
+def test_the_pilot_is_told_once_when_it_begins(reason: Reason, severity: int, word: str) -> None:
+    announcer, said = Announcer(), Statement(reason, "x")
+    (text,) = announcer.verdict(said, 10.0)
+    assert text.severity == severity
+    assert word in str(text.text)
+    assert announcer.verdict(said, 20.0) == []
