@@ -38,6 +38,7 @@ class CompanionPort:
         self._matrix: _Held | None = None
         self._override: _Held | None = None
         self._last_override = self._last_matrix = -1
+        self._declared_s = -math.inf
 
     def _refuse(self, reason: str) -> str:
         self.refused[reason] += 1
@@ -118,6 +119,10 @@ class CompanionPort:
         """Take the set of motors declared failed, (m,) bool. It stays until declared otherwise or disarmed."""
         if not -0.05 <= now_s - sample_s <= STALE_AFTER_S:
             return self._refuse("stale")
+        # What was overtaken is stale after so long: then any sequence may begin, as that of a restarted companion.
+        ahead = (sequence - self.declaration_sequence) % 2**32
+        if now_s - self._declared_s <= STALE_AFTER_S and not 0 < ahead < 2**31:
+            return self._refuse("replay")
         if not armed:
             return self._refuse("disarmed")
         if failed.shape != (self.motors,):
@@ -125,7 +130,7 @@ class CompanionPort:
         if failed.sum() > self.motors // 2:
             return self._refuse("range")
         self.failed = failed.copy()
-        self.declaration_sequence = sequence
+        self.declaration_sequence, self._declared_s = sequence, now_s
         self.accepted += 1
         return None
 
@@ -133,7 +138,7 @@ class CompanionPort:
         """Forget everything: the next flight starts stock."""
         self._matrix = self._override = None
         self.failed = np.zeros(self.motors, bool)
-        self.declaration_sequence = 0
+        self.declaration_sequence, self._declared_s = 0, -math.inf
 
     def matrix_at(self, now_s: float) -> NDArray[np.float64] | None:
         """The matrix in force, or None when none is fresh."""

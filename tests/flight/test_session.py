@@ -252,19 +252,33 @@ def test_a_vehicle_that_is_gone_is_given_up_and_another_one_won() -> None:
     session.take(autopilot_heartbeat(1), 0, 0.0)
     session.due(6.0)
     assert session.adapter is None
+    assert session.moment().verdict.reason == Reason.WAITING
     session.take(autopilot_heartbeat(2), 1, 6.5)
     assert session.system == 2
 
 
-def test_nothing_of_ours_is_asked_of_another_autopilot_and_silence_is_not_said_at_once() -> None:
+@pytest.mark.parametrize("autopilot", [dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, dialect.MAV_AUTOPILOT_PX4])
+def test_nothing_of_ours_is_asked_of_another_autopilot_and_silence_is_not_said_at_once(autopilot: int) -> None:
     session = bare_session()
-    out = session.take(autopilot_heartbeat(), 0, 0.0)
+    out = session.take(autopilot_heartbeat(autopilot=autopilot), 0, 0.0)
     for k in range(1, 200):
         out += session.due(0.01 * k)
     asked = {int(i.message.param1) for i in out if i.message.get_type() == "COMMAND_LONG"}
-    assert asked
+    assert dialect.MAVLINK_MSG_ID_HIGHRES_IMU in asked
     assert not [i for i in asked if 54000 <= i < 60000]
     assert not [text for text in texts(out) if "does not answer" in text]
+
+
+def test_the_same_stream_through_two_ports_is_counted_once() -> None:
+    session = bare_session()
+    session.take(autopilot_heartbeat(), 0, 0.0)
+    for k in range(1, 700):
+        imu = dialect.MAVLink_highres_imu_message(10_000 * k, 0, 0, -9.81, *[0.0] * 10, 63)
+        for port in (0, 1):
+            session.take(from_autopilot(imu), port, 0.01 * k + 0.002 * port)
+        session.due(0.01 * k)
+    rates = next(finding for finding in session.findings(7.0) if finding.name == "rates")
+    assert "HIGHRES_IMU 100 of 200 Hz" in rates.detail
 
 
 def test_a_vehicle_heard_on_two_ports_keeps_one_and_counts_nothing_twice() -> None:

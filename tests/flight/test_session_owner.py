@@ -134,6 +134,7 @@ def test_another_vehicle_does_not_inherit_what_was_believed_of_the_last() -> Non
     assert session.output.failed.any()
     session.due(11.0)
     assert session.adapter is None
+    assert session.moment().verdict.reason == Reason.WAITING, "for whoever comes"
     session.take(autopilot_heartbeat(2), 0, 11.5)
     assert session.system == 2
     assert not session.output.failed.any()

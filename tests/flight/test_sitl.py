@@ -199,6 +199,23 @@ class TestCompanionPort:
         assert held is not None
         assert np.isnan(held).sum() == 7
 
+    def test_a_late_declaration_does_not_undo_a_newer_one_and_a_restarted_companion_is_obeyed(self) -> None:
+        port = CompanionPort(8)
+        one, two = np.arange(8) < 1, np.arange(8) < 2
+
+        def declare(failed: NDArray[np.bool_], sequence: int, sample_s: float, now_s: float) -> str | None:
+            return port.receive_declaration(failed, sequence=sequence, sample_s=sample_s, now_s=now_s, armed=True)
+
+        assert declare(two, 8, 10.0, 10.01) is None
+        for sequence in (8, 7, 2**32 - 1):
+            assert declare(one, sequence, 10.0, 10.2) == "replay"
+        assert port.failed.tolist() == two.tolist()
+        assert port.refused["replay"] == 3
+        assert declare(one, 9, 10.0, 10.2) is None
+        assert declare(two, 1, 10.7, 10.71) is None, "what was overtaken is stale by now: this one began anew"
+        port.disarmed()
+        assert declare(one, 1, 10.72, 10.73) is None
+
     def test_a_declaration_of_most_motors_is_refused(self) -> None:
         port = CompanionPort(8)
         failed = np.array([True] * 5 + [False] * 3)

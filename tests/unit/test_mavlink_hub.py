@@ -85,13 +85,17 @@ def net() -> Iterator[Net]:
 # -- datagrams --------------------------------------------------------------------------------------------------------
 
 
-def test_two_bytes_of_a_stranger_cost_no_frame_of_the_vehicle(net: Net) -> None:
+@pytest.mark.parametrize(
+    "garbage",
+    [b"\xfd\xff", b"\xfd\xff\x00", b"\xfe\xff", b"\xfe\xff\x00\x01\x01\x00", Codec(9, 1).pack(HEARTBEAT)[:-5]],
+)
+def test_a_strangers_bytes_neither_cost_nor_hold_up_a_frame_of_the_vehicle(net: Net, garbage: bytes) -> None:
     vehicle, stranger = net.sender(1), net.sender(99)
     for _ in range(5):
-        stranger.say(b"\xfd\xff")
-        for _ in range(8):
+        stranger.say(garbage)
+        for _ in range(3):
             vehicle.say()
-    assert len(net.take()) == 40
+        assert len(net.take()) == 3, "at once, not when more has come"
     assert net.hub.bad_frames == 5
 
 
