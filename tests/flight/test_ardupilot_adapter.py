@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sessions import from_autopilot
+from sessions import companion_heartbeat, from_autopilot
 
 from nff_companion.allocation import allocator, tables
 from nff_companion.allocation.plan import Plan
@@ -550,22 +550,25 @@ def test_before_the_autopilot_says_that_it_is_disarmed_no_table_is_sent(plans: d
 
 
 @pytest.mark.parametrize(
-    ("act", "mode", "armed", "owner", "sent"),
+    ("act", "mode", "armed", "owner", "twin", "sent"),
     [
-        (True, Mode.ALLOCATE, False, INSTANCE, True),
-        (True, Mode.OBSERVE, False, INSTANCE, False),
-        (True, Mode.ALLOCATE, True, INSTANCE, False),
-        (True, Mode.ALLOCATE, False, 99, False),
-        (False, Mode.ALLOCATE, False, INSTANCE, False),
+        (True, Mode.ALLOCATE, False, INSTANCE, False, True),
+        (True, Mode.OBSERVE, False, INSTANCE, False, False),
+        (True, Mode.ALLOCATE, True, INSTANCE, False, False),
+        (True, Mode.ALLOCATE, False, 99, False, False),
+        (True, Mode.ALLOCATE, False, INSTANCE, True, False),
+        (False, Mode.ALLOCATE, False, INSTANCE, False, False),
     ],
-    ids=["may act", "observes", "armed", "another companion's", "a check before the flight"],
+    ids=["may act", "observes", "armed", "obeys another one", "another one was first", "a check before the flight"],
 )
 def test_a_table_that_differs_is_sent_by_who_may_act_and_nobody_else(
-    plans: dict[int, Plan], act: bool, mode: Mode, armed: bool, owner: int, sent: bool
+    plans: dict[int, Plan], act: bool, mode: Mode, armed: bool, owner: int, twin: bool, sent: bool
 ) -> None:
     meeting = Meeting(OCTO, "auto", "trim", Path("/nonexistent/j"), instance=INSTANCE, plans=changed(plans, 1))
     session = Session(Companion(OCTO, 200.0), meeting, SessionOptions(mode=mode, act=act), 0.0)
     session.take(from_autopilot(heartbeat(armed=armed)), 0, 0.0)
+    if twin:
+        session.take(companion_heartbeat(99), 0, 0.0)
     for name, value in GOOD.items():
         session.take(from_autopilot(dialect.MAVLink_param_value_message(name.encode(), value, 9, 100, 0)), 0, 0.0)
     check = tunnel.table_check(1, tunnel.table_bytes(factors.of_plans(OCTO, plans)[1]))
@@ -574,6 +577,8 @@ def test_a_table_that_differs_is_sent_by_who_may_act_and_nobody_else(
         if k % 5 == 0:
             word = applied(plans, sequence=k + 1, owner=owner, table=1, table_check=check)
             session.take(from_autopilot(wrapped(word)), 0, 0.01 * k)
+            if twin:
+                session.take(companion_heartbeat(99), 0, 0.01 * k)
         kinds.update(inner(i.message).kind for i in session.due(0.01 * k) if i.message.get_type() == "TUNNEL")
     assert kinds[Kind.HEARTBEAT] > 0
     assert (kinds[Kind.TABLE] > 0) == sent

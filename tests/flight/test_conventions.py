@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from sessions import bare_session
 
 from nff_companion.companion import Companion
 from nff_companion.companion_state import Orders
@@ -19,6 +20,7 @@ from nff_companion.condition import Mode
 from nff_companion.core import vehicle
 from nff_companion.core.tuning import Tuning
 from nff_companion.daemon.configuration import load
+from nff_companion.daemon.loop import Loop
 from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.service import Daemon
 from nff_companion.errors import ConfigError, EndpointError
@@ -180,6 +182,24 @@ def test_a_slow_serial_line_drops_frames_whole_and_counts_them() -> None:
     hub.close()
     os.close(master)
     os.close(slave)
+
+
+def test_frames_that_found_no_room_are_in_the_status() -> None:
+    clock, port, session = Clock(), free_port(), bare_session()
+    loop = Loop([f"tcpin:127.0.0.1:{port}"], 191, clock)
+    with socket.create_connection(("127.0.0.1", port)) as client:
+        client.sendall(Codec(1, 1).pack(HEARTBEAT))
+        while session.adapter is None:
+            assert loop.poll.poll(2000)
+            loop.turn(session, 0.0)
+        for _ in range(200_000):  # it reads nothing
+            loop.hub.send(HEARTBEAT, None, clock())
+            if loop.hub.dropped >= 5:
+                break
+        clock.now += 1.0
+        assert loop.turn(session, 0.0)
+        assert session.document(clock())["counters"]["dropped"] >= 5
+    loop.close()
 
 
 # -- streams and time -------------------------------------------------------------------------------------------------
