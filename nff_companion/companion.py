@@ -172,7 +172,8 @@ class Companion:
             return self._said(state, condition, estimate=state.last.estimate if state.watching else None)
         refused = self._refused(sample)
         if refused is not None:
-            return self._bad(state, condition, refused)
+            # What cannot be used says all the same what time it is: commands must not be of an older one.
+            return self._bad(state, condition, refused, None if refused.reason == Reason.SAMPLE_TIME else sample.time_s)
         gap = _gap(state, sample)
         if gap is not None and again(gap, self._dt_s, self.tuning.companion):
             state = replace(state, bad_samples=state.bad_samples + 1)

@@ -28,7 +28,7 @@ from nff_companion.core.rotor_speed import RotorSpeedState
 class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Result of one step; arrays are read-only. ``plan`` is what should be in force: None, the autopilot's own."""
 
-    time_s: float  # of the last good sample, by the autopilot's clock
+    time_s: float  # of the last sample, used or not, by the autopilot's clock
     mode: Mode  # in effect
     obstacle: Statement | None  # why it is not the mode asked for, or why what was decided has no matrix
     flying: bool

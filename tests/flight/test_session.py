@@ -13,6 +13,8 @@ from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle
 from nff_companion.mavlink.codec import Codec, Message, dialect
+from nff_companion.session import Session
+from nff_companion.vehicle_link import Outgoing
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
@@ -99,6 +101,67 @@ def test_a_lift_in_a_telemetry_gap_reaches_the_autopilot() -> None:
             companion.up.queue.clear()  # what was told first is lost
     assert not port.failed.any(), "the autopilot has it from a command that was not stale"
     assert port.refused["stale"] == 0
+
+
+BOOT_S = 100.0  # of the autopilot's clock, where ours begins
+
+
+def heard(session: Session, until_s: float, bad_from_s: float = np.inf) -> None:
+    """An autopilot of our dialect that holds motor 4, and its samples: without motor outputs from ``bad_from_s`` on."""
+    session.take(autopilot_heartbeat(autopilot=dialect.MAV_AUTOPILOT_GENERIC, armed=True), 0, 0.0)
+    holds(session, 0b1000, 0.0)
+    for k in range(round(200 * until_s) + 1):
+        now_s, usec = 0.005 * k, round(1e6 * (BOOT_S + 0.005 * k))
+        if now_s < bad_from_s:
+            servos = dialect.MAVLink_servo_output_raw_message(usec, 0, *[1500] * 8)
+            session.take(from_autopilot(servos), 0, now_s)
+        imu = dialect.MAVLink_highres_imu_message(usec, 0, 0, -9.81, *[0.0] * 10, 63)
+        session.take(from_autopilot(imu), 0, now_s)
+        session.due(now_s)
+
+
+def holds(session: Session, mask: int, now_s: float) -> None:
+    session.take(from_autopilot(dialect.MAVLink_nff_applied_message(1, 0, 0, 0, mask, *[0] * 8)), 0, now_s)
+
+
+def commanded(outgoing: list[Outgoing]) -> list[tuple[str, float]]:
+    """Commands, with the time that they bear by the autopilot's clock."""
+    messages = [item.message for item in outgoing if hasattr(item.message, "sample_usec")]
+    kinds = {"NFF_ALLOCATION_MATRIX", "NFF_MOTOR_DECLARATION"}
+    return [(m.get_type(), 1e-6 * m.sample_usec) for m in messages if m.get_type() in kinds]
+
+
+@pytest.mark.parametrize("bad_from_s", [np.inf, 1.0, 0.0], ids=["all good", "bad at last", "never a good one"])
+@pytest.mark.parametrize("gap_s", [0.0, 0.1, 0.6, 4.0])
+def test_a_command_in_a_gap_or_beside_bad_samples_bears_the_time_that_it_is(gap_s: float, bad_from_s: float) -> None:
+    session = bare_session()
+    heard(session, 2.0, bad_from_s)
+    now_s = 2.0 + gap_s
+    session.due(now_s)
+    (release,) = commanded(session.order(Orders(mode=Mode.OBSERVE), now_s))
+    assert release == ("NFF_ALLOCATION_MATRIX", pytest.approx(BOOT_S + now_s, abs=1e-6))
+    (lifted,) = commanded(session.order(Orders(lift=(4,)), now_s + 0.1))
+    assert lifted == ("NFF_MOTOR_DECLARATION", pytest.approx(BOOT_S + now_s + 0.1, abs=1e-6))
+    (left,) = commanded(session.leave(now_s + 0.2))
+    assert left == ("NFF_ALLOCATION_MATRIX", pytest.approx(BOOT_S + now_s + 0.2, abs=1e-6))
+
+
+@pytest.mark.parametrize("bad_from_s", [np.inf, 0.0])
+def test_a_lift_in_a_gap_is_told_until_it_is_confirmed(bad_from_s: float) -> None:
+    session = bare_session(mode=Mode.OBSERVE)
+    heard(session, 1.0, bad_from_s)
+    session.due(1.5)
+    told = commanded(session.order(Orders(lift=(4,)), 1.5))
+    for k in range(1, 100):
+        now_s = 1.5 + 0.01 * k
+        if k % 10 == 0:
+            holds(session, 0b1000, now_s)
+        told += [(kind, time_s - now_s) for kind, time_s in commanded(session.due(now_s))]
+    assert len(told) == 20, "each 50 ms"
+    assert {kind for kind, _ in told} == {"NFF_MOTOR_DECLARATION"}
+    assert [ahead for _, ahead in told[1:]] == pytest.approx([BOOT_S] * 19, abs=1e-6)
+    holds(session, 0, 2.5)
+    assert not [item for k in range(100) for item in commanded(session.due(2.5 + 0.01 * k))]
 
 
 def test_the_end_and_a_change_of_mode_in_a_gap_are_not_stale() -> None:
