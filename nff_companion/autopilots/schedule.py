@@ -140,12 +140,13 @@ def _declare(
 def _lift(
     state: ScheduleState, motors: NDArray[np.bool_], condition: Condition, time_s: float
 ) -> tuple[ScheduleState, list[Command]]:
-    """The operator's word where we do not act: of what the autopilot holds these ``motors`` go, nothing is added."""
+    """The operator's word where we do not act: of what the autopilot holds these ``motors`` go, nothing is added; while
+    it does not say what it holds, the word waits."""
     held = condition.in_force.failed
     fresh = 0.0 <= time_s - state.lifted_s < times.ORDER_MAX_S
-    if held is None or not fresh or not (held & motors).any():
+    if not fresh or (held is not None and not (held & motors).any()):
         return replace(state, lifted=None), []
-    if 0.0 <= time_s - state.told_s < times.DECLARATION_INTERVAL_S - _JITTER_S:
+    if held is None or 0.0 <= time_s - state.told_s < times.DECLARATION_INTERVAL_S - _JITTER_S:
         return state, []
     left = read_only(held & ~motors)
     return replace(state, told_s=time_s), [Declare(time_s, left, read_only(np.where(left, 0.0, 1.0)))]

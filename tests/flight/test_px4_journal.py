@@ -14,6 +14,7 @@ import pytest
 from fake_px4 import FakePx4, in_flight, octo, on_ground, talk, tell, without
 
 from nff_companion.autopilots.base import Finding, Permit
+from nff_companion.autopilots.px4 import journal as journal_module
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.condition import Reason
@@ -82,6 +83,23 @@ def test_a_symlink_is_not_read_through(tmp_path: Path) -> None:
     (tmp_path / "journal").symlink_to(tmp_path / "other")
     with pytest.raises(JournalError, match="journal is a symbolic link"):
         Journal(tmp_path / "journal").read("a")
+
+
+def test_a_link_that_takes_the_files_place_after_a_look_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal, precious = Journal(tmp_path / "journal"), tmp_path / "precious"
+    Journal(precious).write("a", CT0)
+    kept = precious.read_bytes()
+    for name in ("journal", "journal.new", "journal.probe"):
+        (tmp_path / name).symlink_to(precious)
+    monkeypatch.setattr(journal_module, "_look", lambda path: path == journal.path)  # what was seen a moment ago
+    with pytest.raises(JournalError, match="cannot be read"):
+        journal.read("a")
+    for write in (lambda: journal.write("a", []), journal.probe):
+        with pytest.raises(JournalError, match="cannot be written"):
+            write()
+    assert precious.read_bytes() == kept
 
 
 @pytest.mark.parametrize("name", ["journal", "journal.new"])

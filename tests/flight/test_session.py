@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sessions import autopilot_heartbeat, bare_session, companion_heartbeat, flight, fly, from_autopilot, reason, texts
 
+from nff_companion.autopilots.twins import Rank
 from nff_companion.companion_state import Orders
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle
@@ -391,6 +392,15 @@ def test_the_later_of_two_companions_observes_and_both_say_so() -> None:
     assert companion.output.mode == Mode.OBSERVE
     fly(later, 9.0)
     assert reason(companion) == Reason.HEALTHY, "the other one is gone"
+
+
+def test_the_pilot_of_the_first_hears_of_the_later_one() -> None:
+    session, out = bare_session(), list[Outgoing]()
+    for k in range(50):
+        session.take(autopilot_heartbeat(), 0, 0.1 * k)
+        out += session.take(companion_heartbeat(99, 192, Rank.CANDIDATE), 0, 0.1 * k)
+        out += session.due(0.1 * k)
+    assert texts(out).count("NFF: another companion is heard (component 192)") == 1
 
 
 def test_its_own_heartbeat_come_back_is_no_twin() -> None:

@@ -20,6 +20,7 @@ def names(messages: list[Message]) -> list[str]:
 
 def held(condition: Condition) -> list[int]:
     assert condition.in_force.failed is not None
+    assert not condition.in_force.failed.flags.writeable
     return [int(i) + 1 for i in np.flatnonzero(condition.in_force.failed)]
 
 

@@ -58,3 +58,13 @@ def test_nothing_changes_while_acting(octo: Vehicle) -> None:
 @pytest.mark.parametrize("kind", [2, 3, 4, 13, 14, 15, 35])
 def test_what_flies_with_rotors_is_a_vehicle(kind: int) -> None:
     assert is_vehicle(autopilot_heartbeat(kind=kind))
+
+
+def test_a_vehicle_is_ours_through_some_lost_heartbeats_and_no_longer(octo: Vehicle) -> None:
+    ours = adoption(octo)
+    ours.hear(autopilot_heartbeat(), 10.0, acting=False)
+    for now_s in (11.0, 13.0, 14.9):
+        ours.tick(now_s, acting=False)
+        assert ours.system == 1
+    ours.tick(15.1, acting=False)
+    assert ours.system is None

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan, make_plan
 from nff_companion.autopilots.nff import NffAdapter
 from nff_companion.autopilots.schedule import Command, Declare, Drive, Load, Release
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
-from nff_companion.condition import Reason
+from nff_companion.condition import Reason, Source
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.mavlink.codec import Message, dialect
@@ -35,6 +38,34 @@ def test_a_sample_carries_gyro_accelerometer_and_outputs_for_ever(octo: Vehicle,
         assert sample is not None
         np.testing.assert_allclose(sample.output, 0.15 + 0.1 * np.arange(8))
         np.testing.assert_allclose(sample.gyro_rad_s, [0.01, 0.02, 0.03], rtol=1e-6)
+
+
+def test_what_a_sample_carries_does_not_change_with_the_next_messages(octo: Vehicle) -> None:
+    decoder = TelemetryDecoder(octo)
+
+    def heard(k: int) -> Sample:
+        usec = 1_000_000 + 5000 * k
+        decoder.observe(servos(usec))
+        decoder.observe(dialect.MAVLink_attitude_quaternion_message(usec // 1000, 1.0, 0.01 * k, 0.0, 0.0, *[0.0] * 3))
+        decoder.observe(dialect.MAVLink_local_position_ned_message(usec // 1000, 1.0 * k, 0.0, -5.0, 2.0, 0.0, 0.0))
+        decoder.observe(dialect.MAVLink_esc_status_message(0, usec, [1000 + k] * 4, [0.0] * 4, [0.0] * 4))
+        sample = decoder.observe(imu(usec + 1000))
+        assert sample is not None
+        return sample
+
+    def arrays(sample: Sample) -> dict[str, NDArray[np.float64]]:
+        values = {f.name: getattr(sample, f.name) for f in fields(sample)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+    given = [arrays(heard(k)) for k in range(3)]
+    copied = [{name: value.copy() for name, value in each.items()} for each in given]
+    for k in range(3, 6):
+        heard(k)
+    assert {"rotor_speed_rad_s", "rotor_speed_time_s", "position_m", "quaternion", "output"} <= set(given[0])
+    for each, before in zip(given, copied, strict=True):
+        for name, value in each.items():
+            np.testing.assert_array_equal(value, before[name], err_msg=name)
+    assert given[0]["rotor_speed_rad_s"][0] != given[1]["rotor_speed_rad_s"][0]
 
 
 def test_outputs_that_stopped_coming_make_the_sample_unusable(octo: Vehicle) -> None:
@@ -103,6 +134,19 @@ def test_an_autopilot_that_does_not_answer_is_not_commanded(octo: Vehicle) -> No
     adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, *[0] * 12), 10.0)
     assert adapter.condition(10.5).command is None
     assert adapter.condition(11.5).command == silent
+
+
+def test_what_is_in_force_is_the_autopilots_word_and_nobody_can_change_it(octo: Vehicle) -> None:
+    adapter = NffAdapter(octo, (1, 1))
+    assert adapter.condition(10.0).in_force.failed is None, "it has not said"
+    adapter.encode(Declare(10.0, np.eye(8, dtype=bool)[0], np.r_[0.0, np.ones(7)]))
+    adapter.observe(dialect.MAVLink_nff_applied_message(10_000_000, 0, 0, 0, 0b10, 0, *[0] * 6, 2), 10.0)
+    force = adapter.condition(10.0).in_force
+    assert force.failed is not None
+    assert force.failed.tolist() == [False, True] + [False] * 6, "not what it was told"
+    assert force.source == Source.MATRIX
+    with pytest.raises(ValueError, match="read-only"):
+        force.failed[0] = True
 
 
 def test_positions_and_targets_are_carried_on_to_the_moment_of_the_sample(octo: Vehicle) -> None:

@@ -96,6 +96,19 @@ def test_a_lift_while_observing_adds_nothing_that_is_only_believed() -> None:
         assert commands == []
 
 
+def test_a_lift_waits_while_it_is_not_known_what_the_autopilot_holds() -> None:
+    """Nothing is heard of it for a while: the order is told when it is, unless it is old by then."""
+    held = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[2]))
+    unknown = Condition(takes_matrix=True)
+    out = output([], None, Mode.OBSERVE)
+    for waited_s, told_then in ((2.0, 1), (times.ORDER_MAX_S, 0)):
+        state = schedule.lifted(ScheduleState.start(8), [3], 10.0)
+        state, commands = told(state, out, unknown, 10.0, round(200 * waited_s))
+        assert commands == []
+        _, commands = told(state, out, held, 10.0 + waited_s, 5)
+        assert len(declared(commands)) == told_then
+
+
 def test_a_lift_that_could_not_be_told_is_not_told_much_later() -> None:
     held = Condition(takes_matrix=True, in_force=InForce(Source.DECLARATION, np.eye(8, dtype=bool)[2]))
     state = schedule.lifted(ScheduleState.start(8), [3], 10.0)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from nff_companion.autopilots.twins import Rank, Twins, custom_mode
-from nff_companion.condition import Mode
+from nff_companion.condition import Mode, Reason
 from nff_companion.mavlink.codec import Codec, Message, dialect
 
 STEP_S = 0.1
@@ -89,6 +89,32 @@ def test_a_spare_or_the_one_that_comes_back_acts_after_a_crash(
     assert all(len(who) == 1 for who in settled), "never nobody for good, never two"
     gap = [who for who in acted[200:] if not who]
     assert len(gap) * STEP_S < 6.5
+
+
+def test_the_first_says_that_another_one_is_heard_and_the_later_who_was_first() -> None:
+    first, later = Computer(20, 0.0), Computer(10, 5.0)
+    fly([first, later], 10.0)
+    assert [note.reason for note in first.twins.notes(10.0)] == [Reason.LATER_TWIN]
+    assert first.twins.obstacle(10.0, acting=True) is None
+    obstacle = later.twins.obstacle(10.0, acting=False)
+    assert obstacle is not None
+    assert obstacle.reason == Reason.TWIN
+    assert later.twins.notes(10.0) == []
+    assert first.twins.notes(14.0) == [], "it is gone"
+
+
+def test_nobody_claims_before_he_has_listened() -> None:
+    """Heartbeats come once a second: who claims at once would claim what is another's."""
+    twins = Twins(10)
+    twins.step(0.0, acting=False, able=True)
+    assert twins.rank == Rank.CANDIDATE, "nothing was heard at all"
+    ranks = []
+    for k in range(40):
+        twins.hear(heartbeat(0, Mode.OBSERVE, Rank.BYSTANDER, kind=14), 1, 5.0 + 0.1 * k)
+        twins.step(5.0 + 0.1 * k, acting=False, able=True)
+        ranks.append(twins.rank)
+    assert set(ranks[:20]) == {Rank.CANDIDATE}
+    assert ranks[-1] == Rank.CLAIMANT
 
 
 @pytest.mark.parametrize(("first", "second"), [(10, 20), (20, 10)])
