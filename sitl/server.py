@@ -131,8 +131,10 @@ class Server:
             for data, sender in client.endpoint.receive():
                 client.endpoint.answer(sender)
                 client.up.send(now, data)
+            codec = client.codec
+            parse = codec.parse_datagram if client.endpoint.datagrams else codec.parse
             for data in client.up.receive(now):
-                for message in client.codec.parse(data):
+                for message in parse(data):
                     self._take(client, message)
 
     def greet(self) -> None:

@@ -40,6 +40,8 @@ COMMANDS = (
 class Desk:
     """A server with one client in memory; ``say`` returns what the server answers at once."""
 
+    datagrams = True
+
     def __init__(self, height_m: float = 10.0) -> None:
         fleet = Fleet(airframe.load(vehicle.path_of("octo-x")), FleetOptions(seeds=[1], height_m=height_m))
         self.server = Server(fleet, ["udpout:127.0.0.1:9"])
@@ -72,6 +74,10 @@ class Desk:
         self._waiting.append(self._pilot.pack(message))
         self.server.cycle()
         return self._heard
+
+    def disturb(self, data: bytes) -> None:
+        """Bytes of a stranger, before whatever is said next."""
+        self._waiting.append(data)
 
     def command_long(self, command: int, *params: float) -> int:
         """Result of COMMAND_LONG."""
@@ -174,6 +180,15 @@ def test_what_mavlink_leaves_open_with_nan_is_kept(desk: Desk) -> None:
     assert desk.command_long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, 3.0) == OK
     assert position.speed_xy[0] == 3.0
     assert not desk.server.refused
+
+
+@pytest.mark.parametrize(
+    "garbage", [b"\xfd\xff", b"\xfd\xff\x00", b"\xfe\xff", b"\xfd\x40\x00\x00\x00\x01\x01\x00\x00\x00ab"]
+)
+def test_a_strangers_datagram_holds_up_no_command(desk: Desk, garbage: bytes) -> None:
+    for _ in range(3):
+        desk.disturb(garbage)
+        assert desk.command_long(IDS.MAV_CMD_DO_CHANGE_SPEED, 1.0, 3.0) == OK
 
 
 def test_arming_a_vehicle_that_flies_changes_nothing(desk: Desk) -> None:
