@@ -62,15 +62,24 @@ def test_an_ardupilot_observed_gets_requests_and_heartbeats_alone(tmp_path: Path
     assert tunnel == {1}, "heartbeats"
 
 
-def test_a_check_before_the_flight_only_asks() -> None:
-    session, now = bare_session(act=False), 0.0
-    kinds: Counter[str] = Counter()
+@pytest.mark.parametrize(
+    "autopilot", [dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, dialect.MAV_AUTOPILOT_PX4]
+)
+@pytest.mark.parametrize("act", [False, True], ids=["a check", "observing"])
+def test_who_may_not_act_only_asks(act: bool, autopilot: int) -> None:
+    session, now = bare_session(act=act, mode=Mode.OBSERVE), 0.0
+    out: list[Outgoing] = []
     for k in range(400):
         now = 0.01 * k
         if k % 100 == 0:
-            kinds.update(m.message.get_type() for m in session.take(autopilot_heartbeat(), 0, now))
-        kinds.update(m.message.get_type() for m in session.due(now))
-    assert set(kinds) <= REQUESTS | {"HEARTBEAT", "TUNNEL"}
+            out += session.take(autopilot_heartbeat(autopilot=autopilot), 0, now)
+        out += session.due(now)
+    kinds = {item.message.get_type() for item in out}
+    assert kinds >= {"HEARTBEAT", "COMMAND_LONG"}
+    assert kinds <= REQUESTS | {"TUNNEL"} | (PUBLISHED if act else {"HEARTBEAT"})
+    asked = {m.message.command for m in out if m.message.get_type() == "COMMAND_LONG"}
+    assert asked <= {dialect.MAV_CMD_SET_MESSAGE_INTERVAL, dialect.MAV_CMD_REQUEST_MESSAGE}
+    assert {m.message.payload[1] for m in out if m.message.get_type() == "TUNNEL"} <= {1}, "heartbeats"
 
 
 def test_a_check_asks_nothing_of_an_armed_vehicle_and_says_so() -> None:
