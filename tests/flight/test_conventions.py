@@ -26,7 +26,6 @@ from nff_companion.daemon.notify import Notifier
 from nff_companion.daemon.service import Daemon
 from nff_companion.errors import ConfigError, EndpointError
 from nff_companion.mavlink.codec import Codec, Message, dialect
-from nff_companion.mavlink.endpoints import tcp
 from nff_companion.mavlink.endpoints.serial_port import SerialPort
 from nff_companion.mavlink.hub import Hub
 from nff_companion.mavlink.services import host_status as host
@@ -127,7 +126,7 @@ def test_a_connection_that_cannot_be_made_again_stops_nobody(monkeypatch: pytest
             waits.append(self.gettimeout())
             raise BlockingIOError if self.gettimeout() == 0.0 else TimeoutError
 
-    monkeypatch.setattr(tcp.socket, "socket", Unanswered)
+    monkeypatch.setattr(socket, "socket", Unanswered)
     for k in range(1, 6):
         hub.maintain(2.0 * k)
         hub.send(HEARTBEAT, None, 2.0 * k)
