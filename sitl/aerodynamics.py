@@ -46,7 +46,7 @@ class Aerodynamics:
         """
         p = self._p
         across = np.hypot(air[:, 0], air[:, 1])
-        hover_squared = static_n.mean(axis=1) / self._disc  # v_h^2 of the mean rotor
+        hover_squared = static_n.sum(axis=1) / (p.motors * self._disc)  # v_h^2 of the mean rotor
         half = 0.5 * across**2
         induced_squared = np.sqrt(half * half + hover_squared**2) - half
         share = np.sqrt(induced_squared / np.maximum(hover_squared, 1e-6))  # v_i / v_h

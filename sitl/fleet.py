@@ -93,6 +93,7 @@ class Fleet:
             self.state.thrust_n[:] = np.minimum(one, true.max_thrust_n)
         for _ in range(PLANT_RATE_HZ // 20):  # the filters settle before the autopilot looks
             self.sensors.step(self.state, self.plant.specific_force(self.state))
+        self.sensors.estimate(self.state)
         if self._in_air_start:
             self.autopilot.start_in_air(self.sensors.measured)
 
@@ -114,6 +115,7 @@ class Fleet:
             effectiveness, stuck = self.faults.at(time_s)
             self.plant.step(self.state, output, effectiveness, stuck, self.wind.step(time_s))
             self.sensors.step(self.state, self.plant.specific_force(self.state))
+        self.sensors.estimate(self.state)
         self.cycle += 1
         self._judge()
 

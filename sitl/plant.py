@@ -62,7 +62,7 @@ def _per_motor(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _moment(push: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum over motors (N,) of ``push`` (N, m) times ``arm``, (m,) for all or (N, m)."""
-    return push @ arm if arm.ndim == 1 else np.einsum("nm,nm->n", push, arm)
+    return push @ arm if arm.ndim == 1 else np.vecdot(push, arm)
 
 
 class _DelayLine:
@@ -96,6 +96,9 @@ class Plant:
         self._arm = np.stack([-self._y, self._x], axis=-1)  # roll, pitch torque per N of thrust, (m, 2) or (N, m, 2)
         down = np.broadcast_to(parameters.down_m, self._x.shape)
         self._hub = np.stack([self._x, self._y, down], axis=-1)  # (m, 3) or (N, m, 3)
+        self._lift = parameters.max_thrust_n.sum(axis=1)  # (N,) N
+        self._spin_min, self._expo = parameters.spin_min[:, None], parameters.thrust_expo[:, None]
+        self._rotor_momentum = parameters.rotor_inertia_kg_m2 * parameters.max_speed_rad_s  # of one at full speed
         self._torque_per_thrust = _per_motor(parameters.torque_per_thrust_m)
         self._line = _DelayLine(parameters.output_delay_s, dt_s) if parameters.output_delay_s.any() else None
         self._aerodynamics = Aerodynamics(parameters)
@@ -105,16 +108,15 @@ class Plant:
 
     def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust over full thrust of the motor output (N, m) in 0..1 (command to thrust curve)."""
-        p = self.parameters
-        idle, expo = p.spin_min[:, None], p.thrust_expo[:, None]
-        c = np.clip((output - idle) / (p.spin_max - idle), 0.0, 1.0)
+        idle, expo = self._spin_min, self._expo
+        c = np.minimum(np.maximum((output - idle) / (self.parameters.spin_max - idle), 0.0), 1.0)
         return (1 - expo) * c + expo * c * c
 
     def _climb_of_hubs(self, rate_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Speed (N, m) of the hubs against +z by roll and pitch."""
         if self._arm.ndim == 2:
             return rate_rad_s[:, :2] @ self._arm.T
-        return np.einsum("nk,nmk->nm", rate_rad_s[:, :2], self._arm)
+        return np.matvec(self._arm, rate_rad_s[:, :2])
 
     def step(
         self,
@@ -129,7 +131,7 @@ class Plant:
         if self._line is not None:
             output = self._line.step(output)
         state.held_command = np.where(stuck, state.held_command, output)
-        load = state.thrust_n.sum(axis=1) / p.max_thrust_n.sum(axis=1)
+        load = state.thrust_n.sum(axis=1) / self._lift
         state.battery = state.battery - _BATTERY_DRAIN_PER_S * load * dt
         voltage = state.battery - _BATTERY_SAG * load
         target = p.max_thrust_n * self.thrust_fraction(state.held_command) * effectiveness * (voltage**2)[:, None]
@@ -138,19 +140,19 @@ class Plant:
         state.thrust_n = thrust_before + share * (target - thrust_before)
 
         matrix = rotation.to_matrix(state.quaternion)
-        air = np.einsum("nji,nj->ni", matrix, state.velocity_m_s - wind_m_s)  # air speed in the body frame
+        air = np.vecmat(state.velocity_m_s - wind_m_s, matrix)  # air speed in the body frame
         speed = np.sqrt(state.thrust_n / p.max_thrust_n)  # rotor speed over full speed
         speed_rate = (speed - np.sqrt(thrust_before / p.max_thrust_n)) / dt
         force, torque = self._wrench(state, air, speed, speed_rate)
         # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
         momentum = p.inertia_kg_m2 * state.rate_rad_s
         if p.axis is None:
-            momentum[:, 2] += -p.rotor_inertia_kg_m2 * p.max_speed_rad_s * (speed @ p.spin)
+            momentum[:, 2] -= self._rotor_momentum * (speed @ p.spin)
         else:
-            momentum += p.rotor_inertia_kg_m2 * p.max_speed_rad_s * ((speed * p.spin) @ p.axis)
+            momentum += self._rotor_momentum * ((speed * p.spin) @ p.axis)
         rate_dot = (torque - rotation.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
 
-        acceleration = np.einsum("nij,nj->ni", matrix, force) / self.mass_kg[:, None]
+        acceleration = np.matvec(matrix, force) / self.mass_kg[:, None]
         acceleration[:, 2] += GRAVITY_M_S2
         flying = ~(state.on_ground & (acceleration[:, 2] >= 0.0)) & ~state.crashed
         fly = flying[:, None]
@@ -178,24 +180,24 @@ class Plant:
         p = self.parameters
         # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
         # damping of climb, roll and pitch; the axial speed is that of the hub.
+        braking = -p.rotor_drag_n_s_per_m * speed
         axial = air[:, 2:3] - self._climb_of_hubs(state.rate_rad_s)
         drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
-        thrust = drawn + p.rotor_drag_n_s_per_m * speed * axial
+        thrust = drawn - braking * axial
 
         drag = self._aerodynamics.airframe_drag(air)
         hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * self._y
         hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * self._x
-        push_x = -p.rotor_drag_n_s_per_m * speed * hub_x
-        push_y = -p.rotor_drag_n_s_per_m * speed * hub_y
+        push_x, push_y = braking * hub_x, braking * hub_y
         side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
         force = drag.copy()
         force[:, 0] += side_x
         force[:, 1] += side_y
-        reaction = self._torque_per_thrust * thrust + p.rotor_inertia_kg_m2 * p.max_speed_rad_s * speed_rate
+        reaction = self._torque_per_thrust * thrust + self._rotor_momentum * speed_rate
         torque = np.empty_like(state.rate_rad_s)
         if p.axis is None:
             force[:, 2] -= thrust.sum(axis=1)
-            torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.einsum("nm,nmk->nk", thrust, self._arm)
+            torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.vecmat(thrust, self._arm)
             torque[:, 2] = reaction @ p.spin
         else:
             push = thrust[..., None] * p.axis
@@ -216,4 +218,4 @@ class Plant:
         """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""
         without_gravity = state.acceleration_m_s2.copy()
         without_gravity[:, 2] -= GRAVITY_M_S2
-        return np.einsum("nji,nj->ni", rotation.to_matrix(state.quaternion), without_gravity)
+        return np.vecmat(without_gravity, rotation.to_matrix(state.quaternion))

@@ -63,7 +63,7 @@ class Measured:
 
 
 class Sensors:
-    """One set for the fleet; ``step`` runs at the plant's rate."""
+    """One set for the fleet; ``step`` runs at the plant's rate, ``estimate`` at the autopilot's."""
 
     def __init__(self, parameters: PlantParameters, dt_s: float, generators: list[np.random.Generator]) -> None:
         n, m = parameters.vehicles, parameters.motors
@@ -95,21 +95,24 @@ class Sensors:
         )
 
     def step(self, state: PlantState, specific_force: NDArray[np.float64]) -> None:
-        """Sample the sensors once; the result is in ``measured``."""
+        """Sample the inertial sensors once; the result is in ``measured``."""
         normal = self._noise.next()
         speed = np.sqrt(state.thrust_n / self._max_thrust)
         self._phase = (self._phase + self._dt * self._speed_scale * speed) % (2 * math.pi)
-        shake = np.einsum("nm,nmk->nk", np.sin(self._phase) * speed**2, self._direction)
+        shake = np.vecmat(np.sin(self._phase) * speed**2, self._direction)
         gyro = state.rate_rad_s + self._gyro_bias + _GYRO_NOISE_RAD_S * normal[:, :3]
         accelerometer = specific_force + self._accelerometer_bias + _ACCELEROMETER_NOISE_M_S2 * normal[:, 3:6]
         gyro = gyro + _VIBRATION_GYRO_RAD_S * shake[:, :3]
         accelerometer = accelerometer + _VIBRATION_ACCELEROMETER_M_S2 * shake[:, 3:]
         self._wander = self._decay * self._wander + self._scale * normal[:, 6:]
         self._delayed.append((state.position_m, state.velocity_m_s))
+        self.measured.gyro_rad_s = self._gyro_filter.step(gyro)
+        self.measured.specific_force_m_s2 = self._accelerometer_filter.step(accelerometer)
+
+    def estimate(self, state: PlantState) -> None:
+        """The autopilot's own estimate of the last sample; the result is in ``measured``."""
         position, velocity = self._delayed[0]
         out = self.measured
-        out.gyro_rad_s = self._gyro_filter.step(gyro)
-        out.specific_force_m_s2 = self._accelerometer_filter.step(accelerometer)
         out.quaternion = rotation.normalise(
             rotation.multiply(state.quaternion, rotation.from_rotation_vector(self._wander[:, :3]))
         )

@@ -41,6 +41,7 @@ class Wind:
         self._first = self._noise.next().copy()
         self._second = np.zeros((count, 3))
         self._gusts = np.zeros((0, 6)) if gusts is None else np.asarray(gusts, float).reshape(-1, 6)
+        self._steady = not self._sigma.any() and not len(self._gusts)
         direction = np.zeros((count, 3))
         norm = np.linalg.norm(self.mean, axis=1)
         direction[:, 0] = 1.0
@@ -51,6 +52,8 @@ class Wind:
 
     def step(self, time_s: float) -> NDArray[np.float64]:
         """Advance by one plant step; returns wind (N, 3) in m/s, NED."""
+        if self._steady:
+            return self.mean.copy()
         self._first = self._decay * self._first + self._drive * self._noise.next()
         # The lateral and vertical Dryden forms have a zero after two poles: the first state plus its difference to
         # a second lag gives that spectrum's (1 + sqrt(3) T s) / (1 + T s)^2.

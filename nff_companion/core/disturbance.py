@@ -79,11 +79,16 @@ class DisturbanceState:
 
 @dataclass(slots=True)
 class Expectation:
-    """phi a at one sample, SI: as far as it is believed (n,), and as it was learnt (n,); with its phi (k + 1,)."""
+    """phi a at one sample, SI: as far as it is believed (n,), and as it was learnt (n,); with its phi (k + 1,).
+
+    ``excess`` (n,): what of it is beyond belief. Exactly 0 within, where learnt - believed is a rounding error whose
+    sign is the machine's.
+    """
 
     basis: NDArray[np.float64]
     believed: NDArray[np.float64]
     learnt: NDArray[np.float64]
+    excess: NDArray[np.float64]
 
 
 class Disturbance:
@@ -136,8 +141,9 @@ class Disturbance:
         """phi a; what was learnt in this flight, beyond a0, may not grow into the place of a motor."""
         known = self._scale * basis.dot(self._adaptation.prior)
         learnt = self._scale * basis.dot(state.adaptation.a)
-        beyond = np.minimum(np.maximum(learnt - known, self._adapted_min), self._adapted_max)
-        return Expectation(basis=basis, believed=known + beyond, learnt=learnt)
+        beyond = learnt - known
+        within = np.minimum(np.maximum(beyond, self._adapted_min), self._adapted_max)
+        return Expectation(basis=basis, believed=known + within, learnt=learnt, excess=beyond - within)
 
     def predict(self, state: DisturbanceState, basis: NDArray[np.float64]) -> NDArray[np.float64]:
         """phi a (n,) in SI, as far as it is believed."""
@@ -190,7 +196,7 @@ class Disturbance:
         """One step of a. At the limit of what may be learnt y is taken for what is learnt already, so that a does not
         wind up."""
         innovation = residual - expectation.learnt
-        held = innovation * (expectation.learnt - expectation.believed) > 0.0
+        held = innovation * expectation.excess > 0.0
         seen = np.where(held, expectation.learnt, residual) if True in held.tolist() else residual
         error = None if tracking_error is None else tracking_error / self._scale
         return self._adaptation.step(state, expectation.basis, seen / self._scale, dt_s, error)

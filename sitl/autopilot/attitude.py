@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl import rotation
-from sitl.autopilot.shaping import Gains, Pid, square_root_controller
+from sitl.autopilot.shaping import Gains, Pid, clip, square_root_controller
 
 _ANGLE_P = 4.5
 _INPUT_TIME_S = 0.15  # ATC_INPUT_TC
@@ -49,14 +49,10 @@ class AttitudeControl:
     ) -> NDArray[np.float64]:
         """``desired`` (N, 4) attitude; ``limited`` (N, 3) from the mixer. Returns demand (N, 3) in -1..1."""
         wanted = rotation.swing_and_twist(rotation.multiply(rotation.conjugate(self.target), desired))
-        rate = np.empty_like(wanted)
-        for axis in range(3):
-            rate[:, axis] = square_root_controller(
-                wanted[:, axis], 1.0 / _INPUT_TIME_S, float(_ACCELERATION_MAX[axis]), self._dt
-            )
-        rate[:, 2] = np.clip(rate[:, 2], -_YAW_SLEW_MAX, _YAW_SLEW_MAX)
+        rate = square_root_controller(wanted, 1.0 / _INPUT_TIME_S, _ACCELERATION_MAX, self._dt)
+        rate[:, 2] = clip(rate[:, 2], -_YAW_SLEW_MAX, _YAW_SLEW_MAX)
         step = _ACCELERATION_MAX * self._dt
-        self.target_rate = self.target_rate + np.clip(rate - self.target_rate, -step, step)
+        self.target_rate = self.target_rate + clip(rate - self.target_rate, -step, step)
         self.target = rotation.normalise(
             rotation.multiply(self.target, rotation.from_rotation_vector(self.target_rate * self._dt))
         )
@@ -64,18 +60,16 @@ class AttitudeControl:
         relative = rotation.multiply(rotation.conjugate(quaternion), self.target)
         error = rotation.swing_and_twist(relative)
         # The target's heading is dragged along with a vehicle that cannot hold its own.
-        excess = np.clip(error[:, 2], -_YAW_ERROR_MAX, _YAW_ERROR_MAX) - error[:, 2]
-        if np.any(excess != 0.0):
+        excess = clip(error[:, 2], -_YAW_ERROR_MAX, _YAW_ERROR_MAX) - error[:, 2]
+        if excess.any():
             twist = np.zeros_like(error)
             twist[:, 2] = excess
             self.target = rotation.multiply(self.target, rotation.from_rotation_vector(twist))
             error[:, 2] += excess
-        demand = np.empty_like(error)
-        for axis in range(3):
-            demand[:, axis] = square_root_controller(error[:, axis], _ANGLE_P, float(_CORRECTION_MAX[axis]), self._dt)
-        forward = np.einsum("nij,nj->ni", rotation.to_matrix(relative), self.target_rate)
+        demand = square_root_controller(error, _ANGLE_P, _CORRECTION_MAX, self._dt)
+        forward = np.matvec(rotation.to_matrix(relative), self.target_rate)
         tilt_error = np.hypot(error[:, 0], error[:, 1])
-        share = np.clip(2.0 - tilt_error / _THRUST_ERROR, 0.0, 1.0)[:, None]
+        share = clip(2.0 - tilt_error / _THRUST_ERROR, 0.0, 1.0)[:, None]
         demand[:, :2] += share * forward[:, :2]
         demand[:, 2] = (1 - share[:, 0]) * gyro[:, 2] + share[:, 0] * (demand[:, 2] + forward[:, 2])
-        return np.clip(self.rates.step(demand, gyro, limited), -1.0, 1.0)
+        return clip(self.rates.step(demand, gyro, limited), -1.0, 1.0)

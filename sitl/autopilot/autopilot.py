@@ -14,6 +14,7 @@ from sitl.autopilot.ardupilot.port import ScriptedPort
 from sitl.autopilot.attitude import AttitudeControl
 from sitl.autopilot.companion_port import CompanionPort
 from sitl.autopilot.position import PositionControl
+from sitl.autopilot.shaping import clip
 from sitl.sensors import Measured
 
 _MIX_ATTITUDE = 0.5  # ATC_THR_MIX_MAX
@@ -151,17 +152,17 @@ class Autopilot:
             self._read_scripts(now_s)
         flying = self.armed & (self.mode != Mode.GROUND)
         matrix = rotation.to_matrix(measured.quaternion)
-        up = -np.einsum("nj,nj->n", matrix[:, 2, :], measured.specific_force_m_s2) - GRAVITY_M_S2
+        up = -np.vecdot(matrix[:, 2, :], measured.specific_force_m_s2) - GRAVITY_M_S2
         self.desired, self.throttle = self.position.step(
             measured.position_m, measured.velocity_m_s, up, measured.quaternion, self._throttle_limited
         )
         torque = self.attitude.step(self.desired, measured.quaternion, measured.gyro_rad_s, self._limited)
         hover = self.position.hover_throttle
-        throttle = np.clip(self.throttle, 0.0, 1.0)
+        throttle = clip(self.throttle, 0.0, 1.0)
         mean_max = np.maximum(throttle, throttle * (1 - _MIX_ATTITUDE) + hover * _MIX_ATTITUDE)
         demand = np.concatenate([throttle[:, None], torque], axis=1)
         thrust, limits = mixer.mix(self._factors, demand, mean_max, self._dead)
-        self._limited = np.stack([limits.roll_pitch, limits.roll_pitch, limits.yaw], axis=1)
+        self._limited = np.array([limits.roll_pitch, limits.roll_pitch, limits.yaw]).T
         self._throttle_limited = limits.throttle_upper | limits.throttle_lower
         output = mixer.thrust_to_output(thrust, self._expo, self._spin_min, self._p.spin_max)
         output = np.where(self._dead, 0.0, output)

@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.autopilot.shaping import clip
+
 YAW_HEADROOM = 0.2  # MOT_YAW_HEADROOM
 
 
@@ -71,9 +73,9 @@ def mix(
 
     ``factors`` (N, m, 4); ``dead`` (N, m) marks motors that take no part in the limits (declared failed).
     """
-    throttle = np.clip(demand[:, 0], 0.0, 1.0)
-    mean_max = np.clip(throttle_mean_max, throttle, 1.0)
-    roll_pitch = np.einsum("nmk,nk->nm", factors[:, :, 1:3], demand[:, 1:3])
+    throttle = clip(demand[:, 0], 0.0, 1.0)
+    mean_max = clip(throttle_mean_max, throttle, 1.0)
+    roll_pitch = np.matvec(factors[:, :, 1:3], demand[:, 1:3])
     best = np.minimum(0.5, mean_max)[:, None] + roll_pitch
     yaw_factor = factors[:, :, 3]
     upward = demand[:, 3:4] * yaw_factor > 0.0
@@ -82,7 +84,7 @@ def mix(
     counts = (size > 1e-6) & ~dead
     allowed = np.where(counts, room / np.where(counts, size, 1.0), 1.0).min(axis=1)
     allowed = np.maximum(np.minimum(allowed, 1.0), YAW_HEADROOM)
-    yaw = np.clip(demand[:, 3], -allowed, allowed)
+    yaw = clip(demand[:, 3], -allowed, allowed)
     yaw_limited = np.abs(demand[:, 3]) > allowed
 
     attitude = roll_pitch + yaw[:, None] * yaw_factor
@@ -98,12 +100,12 @@ def mix(
     scaled = scale < 1.0
     ceiling = 1.0 - (floor + high)
     upper = np.where(scaled, adjust > 0.0, adjust > ceiling)
-    adjust = np.where(scaled, 0.0, np.clip(adjust, 0.0, np.maximum(ceiling, 0.0)))
+    adjust = np.where(scaled, 0.0, clip(adjust, 0.0, np.maximum(ceiling, 0.0)))
     thrust = (floor + adjust)[:, None] * factors[:, :, 0] + scale[:, None] * attitude
     limits = Limits(
         roll_pitch=scaled, yaw=scaled | yaw_limited, throttle_upper=upper, throttle_lower=demand[:, 0] <= 0.0
     )
-    return np.clip(thrust, 0.0, 1.0), limits
+    return clip(thrust, 0.0, 1.0), limits
 
 
 def thrust_to_output(thrust: NDArray[np.float64], expo: float, spin_min: float, spin_max: float) -> NDArray[np.float64]:

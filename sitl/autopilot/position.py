@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2
-from sitl.autopilot.shaping import Gains, Pid, filter_share, limit_length, square_root_controller
+from sitl.autopilot.shaping import Gains, Pid, clip, filter_share, limit_length, square_root_controller
 
 _LEAN_MAX_RAD = math.radians(30.0)
 _ACCELERATION_XY = 2.5  # shaped path, WPNAV_ACCEL
@@ -67,15 +67,15 @@ class PositionControl:
         distance = np.hypot(error[:, 0], error[:, 1])
         speed = np.minimum(square_root_controller(distance, 1.0, _ACCELERATION_XY, self._dt), self.speed_xy)
         wanted[:, :2] = error[:, :2] * (speed / np.maximum(distance, 1e-6))[:, None]
-        wanted[:, 2] = np.clip(
+        wanted[:, 2] = clip(
             square_root_controller(error[:, 2], 1.0, _ACCELERATION_Z, self._dt), -self.speed_z, self.speed_z
         )
         wanted = np.where(np.isfinite(self.goal_velocity), self.goal_velocity, wanted)
         asked = 4.0 * (wanted - self.path_velocity)
         asked[:, :2] = limit_length(asked[:, :2], _ACCELERATION_XY)
-        asked[:, 2] = np.clip(asked[:, 2], -_ACCELERATION_Z, _ACCELERATION_Z)
+        asked[:, 2] = clip(asked[:, 2], -_ACCELERATION_Z, _ACCELERATION_Z)
         step = 4.0 * _JERK * self._dt
-        self.path_acceleration = self.path_acceleration + np.clip(asked - self.path_acceleration, -step, step)
+        self.path_acceleration = self.path_acceleration + clip(asked - self.path_acceleration, -step, step)
         self.path_velocity = self.path_velocity + self._dt * self.path_acceleration
         self.path = self.path + self._dt * self.path_velocity
 
@@ -100,7 +100,7 @@ class PositionControl:
         acceleration = self._velocity.step(target[:, :2], velocity[:, :2], self._limited_xy)
         acceleration = acceleration + self.path_acceleration[:, :2]
         limited = limit_length(acceleration, GRAVITY_M_S2 * math.tan(_LEAN_MAX_RAD))
-        self._limited_xy = np.repeat(np.any(limited != acceleration, axis=1)[:, None], 2, axis=1)
+        self._limited_xy[:] = (limited != acceleration).any(axis=1)[:, None]
 
         none = np.zeros((len(distance), 1), bool)
         up_target = -self._velocity_z.step(target[:, 2:], velocity[:, 2:], none)
@@ -114,11 +114,11 @@ class PositionControl:
         desired = _attitude_for(limited, self.goal_yaw)
         cosine_target = 1 - 2 * (desired[:, 1] ** 2 + desired[:, 2] ** 2)
         cosine = 1 - 2 * (quaternion[:, 1] ** 2 + quaternion[:, 2] ** 2)
-        boosted = throttle * np.clip(10.0 * cosine, 0.0, 1.0) / np.clip(cosine_target, 0.1, 1.0)
+        boosted = throttle * clip(10.0 * cosine, 0.0, 1.0) / clip(cosine_target, 0.1, 1.0)
         self._throttle = self._throttle + self._throttle_share * (boosted - self._throttle)
         steady = (np.abs(velocity[:, 2]) < 0.6) & (cosine > 0.98) & (np.abs(self.path_velocity[:, 2]) < 0.05)
         learn = np.where(steady, self._dt / _HOVER_TIME_S, 0.0)
-        moved = learn * (np.clip(self._throttle, 0.1, 0.9) - self.hover_throttle)
+        moved = learn * (clip(self._throttle, 0.1, 0.9) - self.hover_throttle)
         self.hover_throttle = self.hover_throttle + moved
         self._acceleration_z.integral -= moved[:, None]
         return desired, self._throttle
@@ -126,11 +126,13 @@ class PositionControl:
 
 def _attitude_for(acceleration: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
     """Attitude (N, 4) whose thrust gives the horizontal ``acceleration`` (N, 2) m/s^2 NED, heading ``yaw``."""
-    up = np.stack([acceleration[:, 0], acceleration[:, 1], np.full(len(yaw), -GRAVITY_M_S2)], axis=1)
-    up /= np.linalg.norm(up, axis=1)[:, None]
+    up = np.empty((len(yaw), 3))
+    up[:, :2], up[:, 2] = acceleration, -GRAVITY_M_S2
+    up /= np.sqrt(np.vecdot(up, up))[:, None]
     # Rotation that takes the world's up (0, 0, -1) to ``up``.
-    axis = np.stack([up[:, 1], -up[:, 0], np.zeros(len(yaw))], axis=1)
-    sine = np.hypot(axis[:, 0], axis[:, 1])
+    axis = np.zeros_like(up)
+    axis[:, 0], axis[:, 1] = up[:, 1], -up[:, 0]
+    sine = np.hypot(up[:, 0], up[:, 1])
     angle = np.arctan2(sine, -up[:, 2])
-    scale = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 0.0)
+    scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 0.0)
     return rotation.multiply(rotation.from_rotation_vector(axis * scale[:, None]), rotation.from_yaw(yaw))

@@ -14,9 +14,11 @@ from msgspec import convert
 
 from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
+from nff_companion.core.adaptation import Adaptation
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.disturbance import Disturbance
 from nff_companion.core.features import COMMAND, NAMES, features
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
 from nff_companion.training.score import Score
@@ -236,3 +238,20 @@ def test_a_is_within_the_bound_even_while_nothing_is_learnt(basis: Basis, octo: 
     norm = 5.0 / basis.contraction(basis.prior, octo, 1.0)
     after = disturbance.step(state, state.basis, np.zeros(4), 0.005, 0.0, norm)
     assert basis.contraction(state.adaptation.a, octo, norm) > 1.0 > basis.contraction(after.adaptation.a, octo, norm)
+
+
+def test_no_rounding_error_holds_learning_back(octo: Vehicle, rng: np.random.Generator) -> None:
+    """Where what was learnt is within its limit nothing of it is in excess, on any machine, whatever was summed."""
+    network = basis_network.for_vehicle(octo, "airframe")
+    assert network is not None
+    disturbance, adaptation = Disturbance(octo, network), Adaptation(network.prior, Tuning().adaptation)
+    for _ in range(300):
+        state = disturbance.start()
+        state.adaptation.a[-1] += 0.1 * rng.uniform(-1, 1, 4) * disturbance.loss_scale / network.axis_scale
+        phi = disturbance.basis(state, rng.uniform(-0.3, 0.3, len(NAMES)), 0.005)
+        expected = disturbance.expect(state, phi)
+        residual = expected.learnt + 0.1 * disturbance.loss_scale * rng.standard_normal(4)
+        learnt = adaptation.step(state.adaptation, phi, residual / network.axis_scale, 0.005)
+        after = disturbance.learn(state, expected, residual, 0.005)
+        np.testing.assert_array_equal(after.adaptation.a, learnt.a)
+        assert not expected.excess.any()
