@@ -14,8 +14,6 @@ from sitl.fleet import Fleet
 from sitl.parameters import FloatParameters, Parameters, stock
 from sitl.telemetry import Telemetry
 
-PERSONALITIES = ("plain", "ardupilot", "px4")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Spokesman:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,27 @@ from sitl.trials import flown_log
 from sitl.trials.process import free_port
 from sitl.uncertainty import Uncertainty
 
-FLIGHT_S = 40.0
+FLIGHT_S = 23.0  # little more than a calibration asks for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Owned:
+    """A vehicle that is not shipped."""
+
+    frame: str
+    arm_m: float
+    mass_kg: float
+    autopilot: str
+
+    def __str__(self) -> str:
+        return f"{self.frame} of {self.mass_kg:g} kg on {self.autopilot}"
+
+
+OWNED = (
+    Owned(frame="octo-plus", arm_m=0.75, mass_kg=12.0, autopilot="ardupilot"),
+    Owned(frame="coax-x8", arm_m=0.3, mass_kg=5.0, autopilot="ardupilot"),
+    Owned(frame="hexa-x", arm_m=0.35, mass_kg=3.8, autopilot="px4"),
+)
 
 
 class Owner:
@@ -50,35 +71,40 @@ def saved_parameters(frame: str) -> str:
     return "".join(f"{name},{value}\n" for name, value in values.items())
 
 
+@pytest.mark.parametrize("owned", OWNED, ids=str)
 def test_a_vehicle_that_is_not_shipped_goes_from_its_log_to_being_observed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    owned: Owned, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     owner = Owner(tmp_path)
-    # The vehicle: an octo-plus of 12 kg, off from what anybody would guess of it.
-    owner.nff("airframe", "new", "--frame", "octo-plus", "--arm", "0.75", "--mass", "12", "--out", "plant.toml")
+    # The vehicle, off from what anybody would guess of it.
+    size = ["--arm", f"{owned.arm_m}", "--mass", f"{owned.mass_kg}"]
+    owner.nff("airframe", "new", "--frame", owned.frame, *size, "--autopilot", owned.autopilot, "--out", "plant.toml")
     options = FleetOptions(
         seeds=[7], height_m=20.0, wind_m_s=3.0, turbulence_m_s=0.7, model_error=0.1, uncertainty=Uncertainty.estimated()
     )
     plant = plant_airframe.load(tmp_path / "plant.toml")
-    flown_log.write(Fleet(plant, options), [tmp_path / "flight.tlog"], FLIGHT_S, parameters=True)
-    (tmp_path / "now.param").write_text(saved_parameters("octo-plus"), encoding="utf-8")
+    px4: dict[str, float] | None = {} if owned.autopilot == "px4" else None
+    flown_log.write(Fleet(plant, options), [tmp_path / "flight.tlog"], FLIGHT_S, parameters=True, px4=px4)
 
     # Exit code 1: of so short a flight something may not be known well.
-    made = owner.nff("calibrate", "flight.tlog", "--frame", "octo-plus", "--out", "mine.toml", codes=(0, 1))
+    made = owner.nff("calibrate", "flight.tlog", "--frame", owned.frame, "--out", "mine.toml", codes=(0, 1))
     print([verdict["name"] for verdict in made["verdicts"] if not verdict["enough"]])
 
-    owner.nff("ardupilot", "install", "--to", "card", "--airframe", "mine.toml", "--parameters", "now.param")
+    card = None if owned.autopilot == "px4" else tmp_path / "card"
+    if card is not None:
+        (tmp_path / "now.param").write_text(saved_parameters(owned.frame), encoding="utf-8")
+        owner.nff("ardupilot", "install", "--to", "card", "--airframe", "mine.toml", "--parameters", "now.param")
     port = free_port()
     fleet = Fleet(plant, options)
     fleet.autopilot.disarm(0)
     link = ["--airframe", "mine.toml", "--endpoint", f"udpin:127.0.0.1:{port}"]
-    with Flying(fleet, [f"udpout:127.0.0.1:{port}"], card=tmp_path / "card") as flying:
-        assert flying.server.personality is not None
+    with Flying(fleet, [f"udpout:127.0.0.1:{port}"], card=card, px4=px4):
         found = {f["name"]: f for f in owner.nff("doctor", *link, "--timeout", "15", codes=(0, 1))["findings"]}
         not_ready = {name: f["detail"] for name, f in found.items() if f["ok"] is False}
         print(not_ready)
+        assert f"adapter {owned.autopilot}" in found["link"]["detail"]
         assert set(not_ready) <= {"rates"}  # a busy machine
         daemon = owner.runs("run", *link)
         try:
