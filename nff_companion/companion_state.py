@@ -103,6 +103,17 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         return fit.proven or (self.confirmed and fit.fit.verdict != FitVerdict.DOES_NOT_FIT)
 
     @property
+    def whole(self) -> bool:
+        """In flight, and no failure is declared, allocated around, held back or being weighed. What seems to fail by a
+        file that the motion contradicts does not count: it is the file that is wrong."""
+        if self.estimate is None or self.trouble is not None or self.failed.any():
+            return False
+        if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
+            return True
+        weighed = isinstance(self.estimate, EstimatorState) and not self.estimate.decision.quiet
+        return not (weighed or self.held_back[0] or self.last.degraded.any())
+
+    @property
     def doubt(self) -> Statement | None:
         """Why the airframe file is not acted upon; None where it is."""
         if self.trusted:
