@@ -28,8 +28,8 @@ def differences(file: Vehicle, found: Vehicle, fit: Fit, tuning: FitTuning) -> I
     for axis, ratio, gain in zip(AXES, ratios.tolist(), d[model.gains_of(layout)].tolist(), strict=True):
         least = tuning.said_thrust if axis == AXES[THRUST] else tuning.said_turn
         if abs(np.log(ratio)) > max(np.log(least), _SURE * gain):
-            what = "full thrust" if axis == AXES[THRUST] else f"{axis} per thrust"
-            yield f"{what} {ratio:.2f} times", f"{what} is {ratio:.2f} times what the file says"
+            what = "full thrust over mass" if axis == AXES[THRUST] else f"{axis} per thrust"
+            yield f"{what} x {ratio:.2f}", f"{what} is {ratio:.2f} times what the file says"
     was, now = file.command.thrust_expo, found.command.thrust_expo
     if d[model.EXPO] > 0.0 and abs(now - was) > max(_CURVE, _SURE * float(d[model.EXPO])):
         yield f"thrust curve {now:.2f}, file {was:.2f}", f"thrust_expo is {now:.2f}, the file says {was:.2f}"

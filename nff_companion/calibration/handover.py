@@ -41,9 +41,9 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     flown_s: float = 0.0
 
 
-def packed(flown: Flown, time_s: NDArray[np.float64], values: NDArray[np.float32]) -> list[bytes | memoryview]:
+def packed(flown: Flown, time_s: NDArray[np.float64], values: NDArray[np.float32]) -> bytes:
     """One line of JSON, then the numbers as they are in memory."""
-    return [msgspec.json.encode(flown) + b"\n", memoryview(time_s).cast("B"), memoryview(values).cast("B")]
+    return msgspec.json.encode(flown) + b"\n" + time_s.tobytes() + values.tobytes()
 
 
 def unpacked(data: bytes) -> tuple[Flown, NDArray[np.float64], NDArray[np.float32]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nff_companion.core.sample import Sample
 
 _GYRO, _FORCE, _QUATERNION, _VELOCITY, _HEAD = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), 13
+_NO_QUATERNION, _NO_VELOCITY = np.full(4, np.nan), np.full(3, np.nan)
 _STAMP_BYTES, _NUMBER_BYTES = 8, 4
 
 
@@ -44,13 +45,15 @@ class FlightRecorder:
         place = self._end % self.rows
         if self._end > self._mark and sample.time_s <= self._time_s[place - 1]:
             return  # the same again
-        row = self._values[place]
         self._time_s[place] = sample.time_s
-        row[_GYRO], row[_FORCE], row[_HEAD:] = sample.gyro_rad_s, sample.specific_force_m_s2, sample.output
-        row[_QUATERNION] = np.nan if sample.quaternion is None else sample.quaternion
-        row[_VELOCITY] = np.nan if sample.velocity_m_s is None else sample.velocity_m_s
+        quaternion = _NO_QUATERNION if sample.quaternion is None else sample.quaternion
+        velocity = _NO_VELOCITY if sample.velocity_m_s is None else sample.velocity_m_s
+        self._values[place] = np.concatenate(
+            (sample.gyro_rad_s, sample.specific_force_m_s2, quaternion, velocity, sample.output)
+        )
         self._end += 1
-        self._begin = max(self._begin, self._end - self.rows)
+        if self._end - self._begin > self.rows:
+            self._begin += 1
 
     def spoil(self) -> None:
         """A motor has failed: nothing of this flight counts, up to its end."""

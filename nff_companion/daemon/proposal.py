@@ -122,8 +122,7 @@ class Proposer:
         try:
             descriptor = os.memfd_create("nff-flown")
             try:
-                for part in packed(flown, time_s, values):
-                    _write(descriptor, part)
+                _write(descriptor, packed(flown, time_s, values))
                 self._process = subprocess.Popen(
                     [*_COMMAND, str(descriptor)],
                     pass_fds=(descriptor,),
@@ -186,7 +185,7 @@ def _ended(process: subprocess.Popen[bytes]) -> tuple[bytes, bytes]:
         return process.stdout.read(_ANSWER_MAX), process.stderr.read(_ANSWER_MAX)
 
 
-def _write(descriptor: int, data: bytes | memoryview) -> None:
+def _write(descriptor: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(descriptor, view) :]

@@ -19,7 +19,6 @@ from nff_companion.calibration import airframe
 from nff_companion.calibration.differences import differences
 from nff_companion.calibration.handover import Flown, Outcome, unpacked
 from nff_companion.calibration.recorder import samples
-from nff_companion.core import toml_file
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.airframe_file import AirframeFile
 from nff_companion.core.sample import Sample
@@ -48,7 +47,7 @@ def proposed(flown: Flown, rows: list[Sample]) -> Outcome:
             found = calibrate.of_flights([flight], text, vehicle, name)
         except OtherOrder as error:
             other, text = error.order.text, airframe.reordered(text, error.order)
-            corrected = Vehicle(toml_file.converted(tomllib.loads(text), AirframeFile, Path(flown.airframe), "airframe"))
+            corrected = Vehicle(msgspec.convert(tomllib.loads(text), AirframeFile))
             found = calibrate.of_flights([flight], text, corrected, name)
         return _outcome(flown, vehicle, found, other)
     except TooShort as error:
@@ -57,7 +56,7 @@ def proposed(flown: Flown, rows: list[Sample]) -> Outcome:
         return Outcome(outcome="refused", text=f"no proposal: {error}")
     except MemoryError:
         return Outcome(outcome="failed", text="no proposal: not enough memory; lower tuning.proposal.memory_s")
-    except (NffError, OSError) as error:
+    except (NffError, msgspec.ValidationError, OSError) as error:
         return Outcome(outcome="failed", text=f"no proposal: {error}")
 
 

@@ -1,7 +1,7 @@
 """The first ten seconds of flights from the ground: how soon is it known whether the airframe file fits?
 
-Armed, spun up, lifted to three metres and held there, in still air and in wind; the pilot of ``turn`` turns a little and
-back, as one does who wants to know. Cases, files and fleets are those of wrong_file.py; times count from lift-off.
+Armed, spun up, lifted to three metres and held there, in still air and in wind; with ``turn`` the pilot turns a little
+and back, as one does who wants to know. Cases, files and fleets are those of wrong_file.py; times count from lift-off.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _alike(cases: Sequence[Case]) -> list[list[tuple[int, Case]]]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For each kind: flights, and within SECONDS of lift-off how many have which verdict, median and last of its time."""
+    """For each kind: flights; how many have which verdict within SECONDS of lift-off, median and last of its time."""
     out = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
         mine = [row for row in rows if row["kind"] == kind]
@@ -114,4 +114,3 @@ def run(airframe: str, count: int, seed: int) -> dict[str, Any]:
         "flights": flown,
         "summary": {name: summary(rows) for name, rows in flown.items()},
     }
-

@@ -13,7 +13,8 @@ class ProposalTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """What is kept of flights for a proposed airframe file, and how long making it may take."""
 
     memory_s: Annotated[
-        float, span(30.0, 600.0, "s", "of flight that is kept, the newest: three minutes are plenty (docs/calibration.md)")
+        float,
+        span(30.0, 600.0, "s", "of flight that is kept, the newest: three minutes are plenty (docs/calibration.md)"),
     ] = 180.0
     samples_max: Annotated[
         int, span(2000, 200000, "", "kept at most, whatever the rate: 92 bytes each with 8 motors, 3.3 MB at 200 Hz")
