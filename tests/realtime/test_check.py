@@ -18,7 +18,7 @@ from sitl.trials.first_seconds import TakeOff
 from sitl.trials.process import config_text, free_port, start
 from sitl.trials.wrong_file import Case
 
-SECONDS = 12.0  # after the first thing was seen
+SECONDS = 10.0  # after the first thing was seen
 
 
 class Check:
@@ -74,7 +74,7 @@ def test_a_check_in_flight_knows_the_vehicles_own_file_from_another_ones(tmp_pat
         with Flying(fleet, [f"udpout:127.0.0.1:{each.port}" for each in (right, wrong)], on_cycle=cycle):
             wait_for(lambda: "not flying" in right.said and "not flying" in wrong.said, "samples on the ground")
             began_s.append(fleet.time_s)
-            codes = [each.process.wait(90.0) for each in (right, wrong)]
+            codes = [each.process.wait(180.0) for each in (right, wrong)]
             assert not fleet.state.crashed[0]
     finally:
         for each in (right, wrong):
