@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 from flown_logs import RATE_HZ, Flight
 from flying import wait_for
+from sessions import bare_session, texts
 
 from nff_companion.calibration import airframe
 from nff_companion.calibration.handover import Flown
 from nff_companion.calibration.recorder import FlightRecorder
-from nff_companion.condition import Statement
+from nff_companion.condition import Reason, Statement
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.airframe_file import AirframeFile
 from nff_companion.core.motor_order import orders
@@ -104,7 +105,7 @@ def test_a_flight_with_slower_motors_and_two_of_them_swapped_gives_a_file_that_s
     said = until(made, ground, "proposed", 120.0)
     document = made.document()
     print(document)
-    assert [note.text for note in said] == ["new airframe file proposed: motors 2, 4 swapped?"]
+    assert [note.text for note in said] == ["file proposed: motors 2, 4 swapped?"]
     assert any("motors 2, 4 swapped" in sentence for sentence in document["differs"])
     assert any(sentence.endswith("ms, the file says 45") for sentence in document["differs"])
     written = folder / "proposed-octo-x.toml"
@@ -115,6 +116,13 @@ def test_a_flight_with_slower_motors_and_two_of_them_swapped_gives_a_file_that_s
     assert found.confirmed == "", "another order is for a flight to confirm"
     assert sorted(path.name for path in folder.iterdir()) == ["proposed-octo-x.toml"]
     assert made.turn(ground, 1e9) is None, "said once"  # type: ignore[arg-type]
+
+
+def test_the_pilot_hears_of_a_proposal_in_a_text_that_fits() -> None:
+    note = Statement(Reason.FILE_PROPOSED, "motors take 80 ms, file 45")
+    session = bare_session()
+    assert texts(session.tell(note, 1.0)) == ["NFF: file proposed: motors take 80 ms, file 45"]
+    assert texts(session.tell(note, 2.0)) == []
 
 
 def test_it_waits_for_a_landing_and_is_ended_when_armed_again(tmp_path: Path, answering: Callable[[str], None]) -> None:
