@@ -190,7 +190,7 @@ KINDS = 13
 
 def test_nonsense_neither_ends_the_server_nor_reaches_the_vehicle(rng: np.random.Generator) -> None:
     desk = Desk()
-    for k in range(6000):
+    for k in range(3000):
         if k % 200 == 0:  # it lands, loses motors and crashes meanwhile, as it was told
             desk.server.close()
             desk = Desk(height_m=10.0 if k % 400 else 0.0)
