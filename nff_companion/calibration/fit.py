@@ -24,7 +24,7 @@ _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
 _LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.05, 0.03)
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
-_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
+_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.04, 0.0, 0.015
 
 
 @dataclass(frozen=True, slots=True)
