@@ -400,7 +400,7 @@ class Companion:
             bad_samples=state.bad_samples,
             fit=state.fit.fit,
             trusted=state.trusted,
-            notes=state.notes(time_s),
+            notes=state.notes(time_s, self.tuning.fit.word_s),
         )
         return replace(state, last=output), output
 

@@ -63,6 +63,7 @@ class Orders(msgspec.Struct, frozen=True, kw_only=True):
 
 
 NO_ORDERS = Orders()
+_WORD_S = 2.0  # for which a word is there to be said: who speaks looks once a second
 _HELD_BACK_S = 2.0  # after which a motor that was not declared is no longer spoken of
 
 
@@ -103,6 +104,17 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         return fit.proven or (self.confirmed and fit.fit.verdict != FitVerdict.DOES_NOT_FIT)
 
     @property
+    def whole(self) -> bool:
+        """In flight, and no failure is declared, allocated around, held back or being weighed. What seems to fail by a
+        file that the motion contradicts does not count: it is the file that is wrong."""
+        if self.estimate is None or self.trouble is not None or True in self.failed.tolist():
+            return False
+        if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
+            return True
+        weighed = isinstance(self.estimate, EstimatorState) and not self.estimate.decision.quiet
+        return not (weighed or self.held_back[0] or True in self.last.degraded.tolist())
+
+    @property
     def doubt(self) -> Statement | None:
         """Why the airframe file is not acted upon; None where it is."""
         if self.trusted:
@@ -111,8 +123,9 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             return Statement(Reason.WRONG_FILE, self.fit.fit.short)
         return Statement(Reason.UNCONFIRMED)
 
-    def notes(self, time_s: float | None) -> tuple[Statement, ...]:
-        """What the pilot should hear of the airframe file at ``time_s``; None: no sample has come."""
+    def notes(self, time_s: float | None, word_s: float) -> tuple[Statement, ...]:
+        """What the pilot should hear of the airframe file at ``time_s``; None: no sample has come. After ``word_s`` of
+        flight also why nothing is known of it."""
         fit = self.fit.fit
         notes = [Statement(Reason.FILE_OFF, short) for short, _ in fit.differs]
         if self.fit.proven and not self.confirmed:
@@ -121,4 +134,8 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         unknown = not self.trusted and fit.verdict == FitVerdict.UNKNOWN
         if motors and unknown and time_s is not None and time_s - at_s < _HELD_BACK_S:
             notes.append(Statement(Reason.HELD_BACK, ", ".join(map(str, motors))))
+        elif unknown and time_s is not None and isinstance(self.estimate, EstimatorState):
+            flown_s = time_s - self.estimate.started_s
+            if word_s <= flown_s < word_s + _WORD_S:
+                notes.append(Statement(Reason.FILE_OPEN, fit.short))
         return tuple(notes)

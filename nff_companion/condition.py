@@ -87,6 +87,8 @@ class Reason(Enum):
     LATER_TWIN = (70, "another companion is heard ({})")
     HELD_BACK = (70, "motor {} lost, or the airframe file is wrong")
     FILE_CONFIRMED = (71, "this flight confirms the airframe file")
+    FILE_OPEN = (71, "file unconfirmed: {}")
+    FILE_PROPOSED = (71, "file proposed: {}")
     FILE_OFF = (72, "airframe file: {}")
     SPEED_SENSOR = (71, "motor {} pulls but reads no speed")
     SLOW_STREAM = (71, "{} needed")

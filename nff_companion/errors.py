@@ -33,7 +33,11 @@ class TunnelError(NffError, ValueError):
     """A message between the companion and the applet cannot be encoded or understood."""
 
 
-class JournalError(NffError, OSError):
+class StateFileError(NffError, OSError):
+    """A file of the state folder cannot be written or read."""
+
+
+class JournalError(StateFileError):
     """The journal of changed parameters cannot be written or read."""
 
 

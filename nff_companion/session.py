@@ -18,6 +18,7 @@ from nff_companion.autopilots import schedule
 from nff_companion.autopilots.base import Adapter, Finding, Permit
 from nff_companion.autopilots.meeting import Meeting
 from nff_companion.autopilots.schedule import Command, Drive, ScheduleState
+from nff_companion.calibration.recorder import FlightRecorder
 from nff_companion.companion import Companion
 from nff_companion.companion_state import NO_ORDERS, Orders, Output
 from nff_companion.condition import Condition, Mode, Reason, Statement
@@ -70,9 +71,11 @@ class Session:
         options: SessionOptions,
         now_s: float,
         host_status: Callable[[], Message] | None = None,
+        recorder: FlightRecorder | None = None,
     ) -> None:
-        """``host_status`` makes ONBOARD_COMPUTER_STATUS, where there is a computer to speak of."""
-        self._companion, self._options = companion, options
+        """``host_status`` makes ONBOARD_COMPUTER_STATUS, where there is a computer to speak of; ``recorder`` keeps what
+        a calibration may use of the flights."""
+        self._companion, self._options, self.recorder = companion, options, recorder
         self.state = companion.start(options.mode)
         self._orders = NO_ORDERS
         self._schedule = ScheduleState.start(companion.vehicle.motors)
@@ -215,6 +218,11 @@ class Session:
         self._obey(orders)
         return self._flushed()
 
+    def tell(self, note: Statement, now_s: float) -> list[Outgoing]:
+        """Something for the pilot that was found out beside the loop; what is to be sent."""
+        self._send_all(self._voice.notes([note], now_s))
+        return self._flushed()
+
     def _obey(self, orders: Orders) -> None:
         self.state, output = self._companion.step(self.state, None, self._condition, orders)
         adapter = self.adapter
@@ -273,6 +281,8 @@ class Session:
         sample, now_s, condition = pending.sample, pending.now_s, self._condition
         self.state, output = self._companion.step(self.state, sample, condition, override=pending.answer)
         self._commands(pending.adapter, output, output.time_s)
+        if self.recorder is not None:
+            self._record(self.recorder, sample)
         if sample.time_s != self._sample_time_s:
             self._sample_time_s, self._sample_s, self._lost = sample.time_s, now_s, False
         self._engaged = self.state.phase.flying and (self._engaged or (output.flying and output.mode != Mode.OBSERVE))
@@ -282,6 +292,16 @@ class Session:
             self._news.append((now_s, event))
             self._send_all(self._voice.event(event, now_s))
         self._say_verdict(now_s)
+
+    def _record(self, recorder: FlightRecorder, sample: Sample) -> None:
+        """What a calibration may use: samples of a whole vehicle in flight."""
+        state = self.state
+        if not sample.armed:
+            recorder.landed()
+        elif state.whole:
+            recorder.add(sample)
+        elif state.failed.any():
+            recorder.spoil()
 
     def _commands(self, adapter: Adapter, output: Output, time_s: float) -> None:
         self._schedule, commands = schedule.steps(self._schedule, output, self._condition, time_s)
@@ -340,6 +360,8 @@ class Session:
             return
         if self._met_system not in (None, adapter.target[0]):
             self.state = self._companion.start(self.state.mode)
+            if self.recorder is not None:
+                self.recorder.forget()
         self._met_system = adapter.target[0]
         self._condition = self._conditioned(adapter, now_s)
         self._parameters.adopt(adapter.target[0])

@@ -46,6 +46,7 @@ class VehicleLink:
         self._asked_hz, self._tuning, self._rate = rate_hz, tuning, Agreement(rate_hz, tuning)
         self._met: Adapter | None = None  # the adapter that streams, port and rate belong to
         self._met_system: int | None = None
+        self._sampled = False  # since that adapter was met
         self._asked_who_s = -float("inf")
 
     # -- what is known ------------------------------------------------------------------------------------------
@@ -160,6 +161,12 @@ class VehicleLink:
 
     def sampled(self, time_s: float) -> None:
         """A sample came, of this time of the autopilot's clock."""
+        if self._met is not None and not self._sampled:
+            # The adapter may know better by now than when it was met.
+            self._sampled = True
+            expected_hz = _sample_rate(self._wanted(self._met), self._asked_hz)
+            if expected_hz != self._rate.agreed_hz:
+                self._rate = Agreement(expected_hz, self._tuning)
         self._rate.add(time_s)
 
     def silent(self) -> None:
@@ -196,7 +203,7 @@ class VehicleLink:
         adapter = self._adoption.adapter
         if adapter is self._met:
             return
-        self._met = adapter
+        self._met, self._sampled = adapter, False
         self._rate.restart()
         if adapter is None:
             return

@@ -1,4 +1,4 @@
-"""Commands and parameters that the emulated autopilot answers, for vehicle 0 of a fleet.
+"""Commands that the emulated autopilot answers, for one vehicle of a fleet.
 
 Parameters are floats from anybody's wire: NaN, infinite, and out of every range. Each handler takes what it needs
 through ``whole`` or ``within`` and refuses the rest; nothing else may reach the vehicle.
@@ -21,7 +21,7 @@ _OK = dialect.MAV_RESULT_ACCEPTED
 _DENIED = dialect.MAV_RESULT_DENIED
 _UNSUPPORTED = dialect.MAV_RESULT_UNSUPPORTED
 _LAND_MODE, _GUIDED_MODE = 9, 4
-_DEFAULT_TAKE_OFF_M = 10.0
+DEFAULT_TAKE_OFF_M = 10.0
 _FAR_M = 10_000.0  # no goal is farther from home
 _SPEED_MAX_M_S = 50.0
 _MESSAGE_ID_MAX = 2**24 - 1
@@ -40,24 +40,14 @@ def within(value: float, least: float, most: float) -> bool:
 
 
 class Commander:
-    """Executes commands; ``params`` is the parameter table (name to value)."""
+    """Executes commands."""
 
-    def __init__(self, fleet: Fleet, telemetry: Telemetry, system: int) -> None:
-        self._fleet, self._telemetry, self.system = fleet, telemetry, system
-        self.params: dict[str, float] = {
-            "SYSID_THISMAV": float(system),
-            "FRAME_CLASS": 17.0,
-            "FRAME_TYPE": 1.0,
-            "MOT_THST_EXPO": float(fleet.nominal.thrust_expo[0]),
-            "MOT_SPIN_MIN": float(fleet.nominal.spin_min[0]),
-            "MOT_SPIN_MAX": fleet.nominal.spin_max,
-            "INS_GYRO_FILTER": fleet.nominal.gyro_filter_hz,
-            "WPNAV_SPEED": 500.0,
-            "SIM_SPEEDUP": 1.0,
-        }
+    def __init__(self, fleet: Fleet, telemetry: Telemetry, vehicle: int = 0) -> None:
+        self._fleet, self._telemetry, self._vehicle = fleet, telemetry, vehicle
 
-    def command(self, message: Message) -> tuple[int, list[Message]]:
-        """Result and extra messages of COMMAND_LONG or COMMAND_INT (stream requests are the server's)."""
+    def command(self, message: Message) -> tuple[int | None, list[Message]]:
+        """Result of COMMAND_LONG or COMMAND_INT (None: nobody answers), and extra messages. Stream requests are the
+        server's."""
         handlers = {
             dialect.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             dialect.MAV_CMD_NAV_TAKEOFF: self._take_off,
@@ -79,21 +69,21 @@ class Commander:
         if wanted is None:
             return _DENIED, []
         if wanted == 1:
-            if not autopilot.armed[0]:
-                autopilot.arm(0)
+            if not autopilot.armed[self._vehicle]:
+                autopilot.arm(self._vehicle)
             return _OK, []
         forced = message.param2 == 21196
-        if autopilot.mode[0] != Mode.GROUND and not forced:
+        if autopilot.mode[self._vehicle] != Mode.GROUND and not forced:
             return _DENIED, []
-        autopilot.disarm(0)
+        autopilot.disarm(self._vehicle)
         return _OK, []
 
     def _take_off(self, message: Message) -> tuple[int, list[Message]]:
         autopilot = self._fleet.autopilot
-        height = self._height(message, _DEFAULT_TAKE_OFF_M)
-        if height is None or not autopilot.armed[0] or autopilot.mode[0] != Mode.GROUND:
+        height = self._height(message, DEFAULT_TAKE_OFF_M)
+        if height is None or not autopilot.armed[self._vehicle] or autopilot.mode[self._vehicle] != Mode.GROUND:
             return _DENIED, []
-        autopilot.take_off(0, height, self._fleet.sensors.measured)
+        autopilot.take_off(self._vehicle, height, self._fleet.sensors.measured)
         return _OK, []
 
     @staticmethod
@@ -107,9 +97,9 @@ class Commander:
         return height if value > 0.0 and within(height, -_FAR_M, _FAR_M) else None
 
     def _land(self, _: Message) -> tuple[int, list[Message]]:
-        if self._fleet.autopilot.mode[0] == Mode.GROUND:
+        if self._fleet.autopilot.mode[self._vehicle] == Mode.GROUND:
             return _DENIED, []
-        self._fleet.autopilot.land(0)
+        self._fleet.autopilot.land(self._vehicle)
         return _OK, []
 
     def _set_mode(self, message: Message) -> tuple[int, list[Message]]:
@@ -119,8 +109,8 @@ class Commander:
     def set_mode(self, custom_mode: int) -> int:
         """Result of a change of mode (4 guided, 9 land)."""
         autopilot = self._fleet.autopilot
-        if custom_mode == _LAND_MODE and autopilot.mode[0] != Mode.GROUND:
-            autopilot.land(0)
+        if custom_mode == _LAND_MODE and autopilot.mode[self._vehicle] != Mode.GROUND:
+            autopilot.land(self._vehicle)
             return int(_OK)
         if custom_mode == _GUIDED_MODE:
             return int(_OK)
@@ -131,7 +121,7 @@ class Commander:
             latitude, longitude = 1e-7 * message.x, 1e-7 * message.y
         else:
             latitude, longitude = message.param5, message.param6
-        height = self._height(message, -float(self._fleet.autopilot.position.goal[0, 2]))
+        height = self._height(message, -float(self._fleet.autopilot.position.goal[self._vehicle, 2]))
         if height is None or not within(latitude, -90.0, 90.0) or not within(longitude, -180.0, 180.0):
             return _DENIED, []
         return self.go_to(np.array([*to_local(latitude, longitude), -height]), message.param4), []
@@ -141,13 +131,13 @@ class Commander:
         autopilot = self._fleet.autopilot
         near = all(within(float(v), -_FAR_M, _FAR_M) for v in position_m)
         turns = math.isnan(yaw_rad) or within(yaw_rad, -2.0 * math.pi, 2.0 * math.pi)
-        if autopilot.mode[0] != Mode.GUIDED or not near or not turns:
+        if autopilot.mode[self._vehicle] != Mode.GUIDED or not near or not turns:
             return int(_DENIED)
         position = autopilot.position
-        position.goal[0] = position_m
-        position.goal_velocity[0] = np.nan
+        position.goal[self._vehicle] = position_m
+        position.goal_velocity[self._vehicle] = np.nan
         if not math.isnan(yaw_rad):
-            position.goal_yaw[0] = yaw_rad
+            position.goal_yaw[self._vehicle] = yaw_rad
         return int(_OK)
 
     def _speed(self, message: Message) -> tuple[int, list[Message]]:
@@ -158,7 +148,7 @@ class Commander:
             return _OK, []
         if not within(message.param2, 0.0, _SPEED_MAX_M_S) or message.param2 == 0.0:
             return _DENIED, []
-        self._fleet.autopilot.position.speed_xy[0] = message.param2
+        self._fleet.autopilot.position.speed_xy[self._vehicle] = message.param2
         return _OK, []
 
     def _inject(self, message: Message) -> tuple[int, list[Message]]:
@@ -172,30 +162,16 @@ class Commander:
         if kind not in (dialect.FAILURE_TYPE_OK, dialect.FAILURE_TYPE_OFF, dialect.FAILURE_TYPE_STUCK):
             return _UNSUPPORTED, []
         for motor in chosen:
-            self._fleet.faults.clear(0, motor)
+            self._fleet.faults.clear(self._vehicle, motor)
             if kind == dialect.FAILURE_TYPE_OFF:
-                self._fleet.faults.add(Fault(vehicle=0, motor=motor, start_s=self._fleet.time_s))
+                self._fleet.faults.add(Fault(vehicle=self._vehicle, motor=motor, start_s=self._fleet.time_s))
             elif kind == dialect.FAILURE_TYPE_STUCK:
-                self._fleet.faults.add(Fault(vehicle=0, motor=motor, start_s=self._fleet.time_s, kind="stuck"))
+                self._fleet.faults.add(
+                    Fault(vehicle=self._vehicle, motor=motor, start_s=self._fleet.time_s, kind="stuck")
+                )
         return _OK, []
 
     def _request_message(self, message: Message) -> tuple[int, list[Message]]:
         message_id = whole(message.param1, 0, _MESSAGE_ID_MAX)
         maker = None if message_id is None else self._telemetry.makers.get(message_id)
         return (_OK, [maker()]) if maker else (_UNSUPPORTED, [])
-
-    def set_parameter(self, name: str, value: float) -> bool:
-        """Whether parameter ``name`` took ``value``: it is there, and the value is a number."""
-        if name not in self.params or not math.isfinite(value):
-            return False
-        self.params[name] = float(value)
-        return True
-
-    def parameter(self, name: str) -> Message | None:
-        """PARAM_VALUE of ``name``, None when there is no such parameter."""
-        if name not in self.params:
-            return None
-        index = list(self.params).index(name)
-        return dialect.MAVLink_param_value_message(
-            name.encode(), self.params[name], dialect.MAV_PARAM_TYPE_REAL32, len(self.params), index
-        )

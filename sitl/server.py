@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,12 +12,11 @@ import numpy as np
 
 from nff_companion.mavlink.codec import Codec, Message, dialect
 from nff_companion.mavlink.endpoint import Endpoint, open_endpoint
-from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.autopilot.nff_port import NffPort
-from sitl.commands import Commander, whole, within
+from sitl.commands import whole
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 from sitl.link_model import LinkModel, LinkOptions
-from sitl.telemetry import Telemetry
+from sitl.personality import spokesman
 
 _DEFAULT_HZ = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
@@ -31,7 +30,7 @@ _DEFAULT_HZ = {
     dialect.MAVLINK_MSG_ID_ATTITUDE: 10.0,
     dialect.MAVLINK_MSG_ID_NFF_APPLIED: 20.0,  # without being asked: by it an autopilot shows that it knows our dialect
 }
-_INTERVAL_MAX_US = 3600e6
+_SYSTEM = 1
 _LAG_MAX_S = 0.25  # a machine slower than this loses time instead of running behind for ever
 
 
@@ -54,42 +53,36 @@ class Server:
         *,
         link: LinkOptions | None = None,
         seed: int = 1,
-        system: int = 1,
         on_cycle: Callable[[Fleet], None] | None = None,
         on_message: Callable[[Message, float], None] | None = None,
         card: Path | None = None,
+        px4: Mapping[str, float | int] | None = None,
     ) -> None:
-        """``card``: folder with scripts; then the vehicle is an ArduPilot to whoever speaks with it."""
+        """``card``: folder with scripts; then the vehicle is an ArduPilot to whoever speaks with it. ``px4``: it is a
+        PX4, with these parameters that are not stock. Raises ConfigError for an airframe that PX4 does not drive."""
         if fleet.vehicles != 1:
             raise ValueError(f"a server has one vehicle, not {fleet.vehicles}")
         self.fleet = fleet
-        self.telemetry = Telemetry(fleet)
-        self._commander = Commander(fleet, self.telemetry, system)
+        speaks = spokesman(fleet, 0, _SYSTEM, card=card, px4=px4)
+        self.telemetry, self.personality, self.px4 = speaks.telemetry, speaks.ardupilot, speaks.px4
+        self._commander, self._parameters = speaks.commander, speaks.parameters
+        self._our_dialect = self.personality is None and self.px4 is None
         self._port = NffPort(fleet)
         options = link or LinkOptions()
         self._clients = [
             _Client(
                 open_endpoint(url),
-                Codec(system, dialect.MAV_COMP_ID_AUTOPILOT1),
+                Codec(_SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1),
                 LinkModel(options, seed + 2 * k),
                 LinkModel(options, seed + 2 * k + 1),
-                {i: self._cycles(hz) for i, hz in _DEFAULT_HZ.items()},
+                {i: _cycles(hz) for i, hz in _DEFAULT_HZ.items()},
             )
             for k, url in enumerate(urls)
         ]
-        self.personality = (
-            None if card is None else ArduPilotPersonality(fleet, 0, card, self._commander.params, system)
-        )
-        if card is not None:
-            self.telemetry.makers.pop(dialect.MAVLINK_MSG_ID_NFF_APPLIED)
         self._on_cycle, self._on_message = on_cycle, on_message
         self.late_cycles = 0
         self.lost_s = 0.0  # by which the vehicle's clock fell behind the wall's
         self.refused: Counter[str] = Counter()  # messages that asked for what cannot be, by type
-
-    @staticmethod
-    def _cycles(rate_hz: float) -> int:
-        return max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
 
     def run(self, until_s: float, stop: Callable[[], bool] = lambda: False) -> None:
         """Fly in real time until the fleet's clock reads ``until_s`` or ``stop()``."""
@@ -107,6 +100,8 @@ class Server:
     def cycle(self) -> None:
         """One autopilot cycle: what has arrived, the step, what is due."""
         self._listen()
+        if self.px4 is not None:
+            self.px4.step()
         if self.personality is not None:
             self.personality.step()
             for channel, message in self.personality.outgoing():
@@ -161,10 +156,10 @@ class Server:
             for other in self._clients:  # as autopilots do between their links
                 if other is not client:
                     other.down.send(self.fleet.time_s, bytes(message.get_msgbuf()))
-        target = getattr(message, "target_system", self._commander.system)
-        if target not in (0, self._commander.system):
+        target = getattr(message, "target_system", _SYSTEM)
+        if target not in (0, _SYSTEM):
             return
-        if self.personality is not None and message.get_type().startswith("NFF_"):
+        if not self._our_dialect and message.get_type().startswith("NFF_"):
             return
         handlers: dict[str, Callable[[_Client, Message], None]] = {
             "COMMAND_LONG": self._command,
@@ -184,19 +179,21 @@ class Server:
         elif self._port.take(message) and message.get_type() == "NFF_MOTOR_DECLARATION":
             self._reply(client, self.telemetry.makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]())
 
-    def _count(self, message: Message, result: int) -> None:
+    def _count(self, message: Message, result: int | None) -> None:
         if result != dialect.MAV_RESULT_ACCEPTED:
             self.refused[message.get_type()] += 1
 
     def _command(self, client: _Client, message: Message) -> None:
         extra: list[Message] = []
+        result: int | None
         if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._set_interval(client, message)
         else:
             result, extra = self._commander.command(message)
         self._count(message, result)
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        self._reply(client, dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
+        if result is not None:
+            source = (message.get_srcSystem(), message.get_srcComponent())
+            self._reply(client, dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
         for item in extra:
             self._reply(client, item)
 
@@ -208,42 +205,41 @@ class Server:
         if interval_us == -1.0:
             client.every.pop(message_id, None)
         elif interval_us == 0.0:
-            client.every[message_id] = self._cycles(_DEFAULT_HZ.get(message_id, 10.0))
-        elif not within(interval_us, 1e6 / AUTOPILOT_RATE_HZ - 1, _INTERVAL_MAX_US):
-            return int(dialect.MAV_RESULT_DENIED)
+            client.every[message_id] = _cycles(_DEFAULT_HZ.get(message_id, 10.0))
         else:
-            client.every[message_id] = self._cycles(1e6 / interval_us)
+            every = self.telemetry.cycles(message_id, interval_us)
+            if every is None:
+                return int(dialect.MAV_RESULT_DENIED)
+            client.every[message_id] = every
         return int(dialect.MAV_RESULT_ACCEPTED)
 
     def _set_mode(self, client: _Client, message: Message) -> None:
         self._count(message, self._commander.set_mode(message.custom_mode))
 
     def _param_list(self, client: _Client, message: Message) -> None:
-        for name in self._commander.params:
-            value = self._commander.parameter(name)
-            if value is not None:
-                self._reply(client, value)
+        for name in self._parameters.names:
+            self._tell(client, name)
 
-    def _name(self, message: Message) -> str:
-        text = message.param_id
-        return text.decode(errors="replace").rstrip("\0") if isinstance(text, bytes) else text
+    def _tell(self, client: _Client, name: str) -> None:
+        value = self._parameters.message(name)
+        if value is not None:
+            self._reply(client, value)
 
     def _param_read(self, client: _Client, message: Message) -> None:
-        name = self._name(message)
+        name = _name(message)
         if message.param_index >= 0:
-            names = list(self._commander.params)
+            names = self._parameters.names
             name = names[message.param_index] if message.param_index < len(names) else ""
-        value = self._commander.parameter(name)
-        if value is not None:
-            self._reply(client, value)
+        self._tell(client, name)
 
     def _param_set(self, client: _Client, message: Message) -> None:
-        name = self._name(message)
-        if not self._commander.set_parameter(name, message.param_value):
+        name = _name(message)
+        if not self._parameters.take(name, message.param_value, message.param_type):
             self.refused[message.get_type()] += 1
-        value = self._commander.parameter(name)
-        if value is not None:
-            self._reply(client, value)
+        if name not in self._parameters.names:
+            for answer in self._parameters.unknown(name):
+                self._reply(client, answer)
+        self._tell(client, name)
 
     def _timesync(self, client: _Client, message: Message) -> None:
         if message.tc1 == 0:
@@ -259,3 +255,12 @@ class Server:
     def _tunnel(self, client: _Client, message: Message) -> None:
         if self.personality is not None:
             self.personality.receive(message, self._clients.index(client))
+
+
+def _cycles(rate_hz: float) -> int:
+    return max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
+
+
+def _name(message: Message) -> str:
+    text = message.param_id
+    return text.decode(errors="replace").rstrip("\0") if isinstance(text, bytes) else text

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from nff_companion.mavlink.codec import Message, dialect
 from sitl import rotation
 from sitl.autopilot.autopilot import Autopilot, Mode
-from sitl.fleet import Fleet
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
 
 HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG, HOME_ALTITUDE_M = -35.363262, 149.165237, 584.0
 BOOT_S = 1.0  # the autopilot's clock when the fleet starts
+_INTERVAL_MAX_US = 3600e6
 _EARTH_RADIUS_M = 6378137.0
 _SERVOS = 16
 _CUSTOM_MODE = {Mode.GROUND: 4, Mode.GUIDED: 4, Mode.LAND: 9}
@@ -83,6 +84,12 @@ class Telemetry:
             # Last: who waits for the inertial sample has the rest of the cycle.
             ids.MAVLINK_MSG_ID_HIGHRES_IMU: self._imu,
         }
+
+    def cycles(self, message_id: int, interval_us: float) -> int | None:
+        """Autopilot cycles between two of a message when so much is asked for; None: that is refused."""
+        if not 1e6 / AUTOPILOT_RATE_HZ - 1 <= interval_us <= _INTERVAL_MAX_US:  # NaN too
+            return None
+        return max(round(1e-6 * interval_us * AUTOPILOT_RATE_HZ), 1)
 
     @property
     def _autopilot(self) -> Autopilot:

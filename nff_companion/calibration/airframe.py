@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nff_companion.calibration import chain, model
 from nff_companion.calibration.fit import Fit
+from nff_companion.core.motor_order import Order
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError
 
@@ -126,6 +127,29 @@ def written(text: str, found: list[Number], name: str, source: str) -> str:
                 rotor[key] = _item(value, note)
             continue
         document[place][key] = _item(number.value, note)
+    return tomlkit.dumps(document)
+
+
+def reordered(text: str, order: Order) -> str:
+    """The airframe file ``text`` with two motors swapped, or with spins reversed; nobody has confirmed it."""
+    document = tomlkit.parse(unconfirmed(text))
+    rotors = document["rotor"]
+    if order.swapped:
+        one, other = (rotors[motor - 1] for motor in order.swapped)
+        first, second = one.unwrap(), other.unwrap()
+        for rotor, new in ((one, second), (other, first)):
+            for key in list(rotor):
+                rotor.pop(key)
+            rotor.update(new)
+    for motor in order.reversed:
+        rotors[motor - 1]["spin"] = {"cw": "ccw", "ccw": "cw"}[str(rotors[motor - 1]["spin"])]
+    return tomlkit.dumps(document)
+
+
+def unconfirmed(text: str) -> str:
+    """The airframe file ``text`` without anybody's word that it is the vehicle's."""
+    document = tomlkit.parse(text)
+    document["airframe"].pop("confirmed", None)
     return tomlkit.dumps(document)
 
 

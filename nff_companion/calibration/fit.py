@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
-from nff_companion.calibration import chain, model, noise
+from nff_companion.calibration import air, chain, model, noise
 from nff_companion.calibration.model import BELIEVED, Layout, Prior
 from nff_companion.calibration.record import Piece, Record
 
 ROUNDS = 4  # of noise and numbers in turn
-_MEMORY_S = 0.1  # of the noise's model
+_MEMORY_S = 0.3  # of the noise's model: less, and yaw's slow motion is taken for surer than it is
 _SETTLE_S = 0.5  # of each piece, in which the filters forget how it began
 _LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific force that was measured
 _LEAST_NOISE = 0.01  # m/s^2 and rad/s^2: no sensor is as good
@@ -22,9 +22,9 @@ _THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis
 _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
-_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.03, 0.008)
+_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.05, 0.03)
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
-_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.02, 0.0, 0.015
+_LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.04, 0.0, 0.015
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ class Problem:
         self._measured = [chain.measured(piece, filters, inertia) for piece in record.pieces]
         self._mean = np.array(float(np.mean(np.concatenate([piece.output.mean(axis=1) for piece in record.pieces]))))
         self._skip = [round(_SETTLE_S / piece.dt_s) for piece in record.pieces]
-        self._air = [_air(values[skip:]) for values, skip in zip(self._measured, self._skip, strict=True)]
         self._lift = [
             _slow(values[:, :1], piece.dt_s) for values, piece in zip(self._measured, self._pieces, strict=True)
         ]
         self.lift_m_s2 = float(np.mean(np.concatenate(self._lift)))
+        self._air = self._air_at(start)
         self._whitening, self._scale = [np.ones(1)] * model.AXES, np.ones(model.AXES)
         self._at: NDArray[np.float64] | None = None
         self._values = (np.zeros(0), np.zeros((0, 0)))
@@ -100,16 +100,21 @@ class Problem:
         return x
 
     def colour(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Learn the noise from what ``x`` leaves; the shares explained (AXES,)."""
+        """Learn the noise from what ``x`` and the air leave; the shares explained (AXES,).
+
+        With what the air does still in it, slow motion would count for nothing: yaw's is slow.
+        """
         left, _ = self._axes(x)
+        self._air = self._air_at(x)
         explained, scale = np.zeros(model.AXES), np.ones(model.AXES)
         whitening = []
         for axis in range(model.AXES):
-            parts = [rows[:, axis] - rows[:, axis].mean() for rows in left]
+            parts = self._split(self._still(np.concatenate([rows[:, axis] for rows in left]), axis))
             order = max(round(_MEMORY_S / self._pieces[0].dt_s), 2)
             filter_ = noise.autoregression(parts, order)
             rest = np.concatenate([noise.whitened(part, filter_) for part in parts])
-            was = np.concatenate([noise.whitened(m[s:, axis], filter_) for m, s, _ in self._each()])
+            moved = self._split(self._still(np.concatenate([m[s:, axis] for m, s, _ in self._each()]), axis))
+            was = np.concatenate([noise.whitened(part, filter_) for part in moved])
             explained[axis] = max(1.0 - rest.var() / max(float(was.var()), 1e-30), 0.0)
             scale[axis] = max(float(np.sqrt(np.mean(rest * rest))), _LEAST_NOISE)
             whitening.append(filter_)
@@ -140,6 +145,24 @@ class Problem:
     def _each(self) -> list[tuple[NDArray[np.float64], int, Piece]]:
         return list(zip(self._measured, self._skip, self._pieces, strict=True))
 
+    def _air_at(self, x: NDArray[np.float64]) -> list[list[NDArray[np.float64]]]:
+        """Columns of the air of each piece; how fast rotors turn, as ``x`` says."""
+        shape, out = model.shape_of(x, self._layout.full), []
+        for values, skip, piece in self._each():
+            thrust = chain.shown(piece, [shape], self._filters)[0]
+            out.append(air.columns(values[skip:], thrust[skip:], self._layout))
+        return out
+
+    def _still(self, values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        """``values`` (N,) of all pieces, without what the air did, about their mean."""
+        rest = air.taken_off(values, np.concatenate([piece[axis] for piece in self._air]))
+        return np.asarray(rest - rest.mean())
+
+    def _split(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """``values`` (N,) by pieces."""
+        lengths = [len(piece[0]) for piece in self._air]
+        return np.split(values, np.cumsum(lengths)[:-1])
+
     def _both(self, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if self._at is None or not np.array_equal(self._at, free):
             self._at, self._values = free.copy(), self._reduced(self.whole(free))
@@ -152,12 +175,12 @@ class Problem:
         rows, jacobian = [], []
         for axis in range(model.AXES):
             columns = [
-                np.column_stack([air[axis], slope[axis][:, self.free], rest[:, axis]])
-                for air, slope, rest in zip(self._air, slopes, left, strict=True)
+                np.column_stack([moved[axis], slope[axis][:, self.free], rest[:, axis]])
+                for moved, slope, rest in zip(self._air, slopes, left, strict=True)
             ]
             white = np.concatenate([noise.whitened(c, self._whitening[axis]) for c in columns]) / self._scale[axis]
-            air = self._air[0][axis].shape[1]
-            triangle = np.asarray(np.linalg.qr(white, mode="r"))[air:, air:]
+            given = self._air[0][axis].shape[1]
+            triangle = np.asarray(np.linalg.qr(white, mode="r"))[given:, given:]
             rows.append(triangle[:, -1])
             jacobian.append(-triangle[:, :-1])
         off, prior = (x - self._start)[self.free], self._prior[self.free]
@@ -173,7 +196,7 @@ class Problem:
             # Battery, height and speed change what a rotor gives at the same output: the accelerometer says how much.
             total = _slow(thrust.mean(axis=2).T, piece.dt_s).T
             thrust = thrust * (lift[:, 0] / self.lift_m_s2 / np.maximum(total, 1e-3))[:, :, None]
-            value, derivative = model.foretold(x, self._layout, thrust[:, skip:], self._shape_free)
+            value, derivative = model.foretold(x, self._layout, thrust[:, skip:], self._shape_free, piece.dt_s)
             left.append(values[skip:, : model.AXES] - value.T)
             slopes.append(derivative)
         return left, slopes
@@ -186,19 +209,6 @@ def _slow(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
 
 def _band(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
     return chain.band(values, dt_s, 2.0, 8.0)
-
-
-def _air(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Columns (N, c) of each axis that moving air brings in: damping by the rate, what side wind and speed do."""
-    one, side, rate, velocity = np.ones(len(values)), values[:, 4:6], values[:, 6:9], values[:, 9:12]
-    if not velocity.any():
-        velocity = velocity[:, :0]
-    return [
-        np.column_stack([one, (side**2).sum(axis=1), velocity[:, 2:]]),
-        np.column_stack([rate[:, 0], side[:, 1], velocity[:, :2]]),
-        np.column_stack([rate[:, 1], side[:, 0], velocity[:, :2]]),
-        np.column_stack([one, rate[:, 2], side, velocity[:, :2]]),
-    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,11 @@ from nff_companion.core.vehicle import Vehicle
 AXES = 4
 THRUST, ROLL, PITCH, YAW = range(AXES)
 DELAY, LAG, ASYMMETRY, EXPO, IDLE = range(5)
-SHAPE = 5  # parameters of how outputs become thrust; then come gains, motors, centre of thrust, steady torque
+# Parameters of how outputs become thrust; then come gains, motors, centre of thrust, steady torque, lead of yaw.
+SHAPE = 5
 _MOTORS = SHAPE + AXES
+LEAD = -1
+_LEAD_S = 0.03  # of yaw, before any record was seen
 _STEPS = np.array([5e-4, 0.01, 0.02, 0.01, 0.002])  # of the differences that derivatives are taken from
 
 
@@ -40,12 +43,14 @@ class Prior:
     motor: float = 0.05
     centre: float = 0.03  # of the farthest arm
     steady: float = 0.01  # of the same: torque of the air, as if the centre were elsewhere
+    lead_s: float = 0.03  # a rotor that gathers speed turns the vehicle before its drag does
 
     def deviations(self, motors: int) -> NDArray[np.float64]:
         """(parameters,)."""
         shape = [self.delay_s, self.lag, self.asymmetry, self.expo, self.idle]
         gains = [0.0, self.gain, self.gain, self.yaw]  # thrust: what carries the vehicle is known
-        return np.array(shape + gains + [self.motor] * motors + [self.centre] * 2 + [self.steady] * 2)
+        lead_s = self.lead_s if self.yaw > 0.0 else 0.0
+        return np.array(shape + gains + [self.motor] * motors + [self.centre] * 2 + [self.steady] * 2 + [lead_s])
 
 
 BELIEVED = Prior()
@@ -82,7 +87,7 @@ class Layout:
     @property
     def parameters(self) -> int:
         """Length of a vector of them."""
-        return _MOTORS + self.motors + 4
+        return _MOTORS + self.motors + 5
 
 
 def arm_m(vehicle: Vehicle) -> float:
@@ -93,7 +98,7 @@ def arm_m(vehicle: Vehicle) -> float:
 def start(layout: Layout, lag_s: float, expo: float, idle: float, delay_s: float = 0.0) -> NDArray[np.float64]:
     """Parameters (parameters,) before any record was seen."""
     x = np.zeros(layout.parameters)
-    x[[DELAY, LAG, EXPO, IDLE]] = delay_s, np.log(lag_s), expo, idle
+    x[[DELAY, LAG, EXPO, IDLE, LEAD]] = delay_s, np.log(lag_s), expo, idle, _LEAD_S
     return x
 
 
@@ -144,6 +149,11 @@ def centre_of(layout: Layout) -> slice:
     return slice(_MOTORS + layout.motors, _MOTORS + layout.motors + 2)
 
 
+def steady_of(layout: Layout) -> slice:
+    """Where the steady torque of the air is, forward and right as the centre."""
+    return slice(_MOTORS + layout.motors + 2, _MOTORS + layout.motors + 4)
+
+
 def accelerations(x: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]:
     """(AXES, m) of each motor at the mean outputs."""
     factors = 1.0 + x[motors_of(layout)]
@@ -152,10 +162,10 @@ def accelerations(x: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]
 
 
 def foretold(
-    x: NDArray[np.float64], layout: Layout, relative: NDArray[np.float64], free: NDArray[np.int64]
+    x: NDArray[np.float64], layout: Layout, relative: NDArray[np.float64], free: NDArray[np.int64], dt_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Accelerations (AXES, N) and their derivatives (AXES, N, parameters), of thrusts over those of the mean outputs
-    ``relative`` (1 + free, N, m), as ``variants`` gives them."""
+    ``relative`` (1 + free, N, m), as ``variants`` gives them, ``dt_s`` apart."""
     matrix, m = accelerations(x, layout), layout.motors
     thrust, gain = relative[0], np.exp(x[gains_of(layout)])
     value = matrix @ thrust.T
@@ -163,14 +173,25 @@ def foretold(
     for row, k in enumerate(free, start=1):
         derivative[:, :, k] = matrix @ (relative[row] - thrust).T / _STEPS[k]
     rows, factors = unit_rows(layout, x), 1.0 + x[motors_of(layout)]
+    centre, steady = centre_of(layout), steady_of(layout)
     for axis in range(AXES):
         derivative[axis, :, SHAPE + axis] = value[axis]
         derivative[axis, :, motors_of(layout)] = gain[axis] * rows[axis] * thrust
-    total, (bx, by) = thrust @ (factors * layout.thrust), x[-2:]
-    derivative[PITCH, :, -4] = -gain[PITCH] * total
-    derivative[ROLL, :, -3] = gain[ROLL] * total
-    for axis, place, steady in ((PITCH, -2, -bx), (ROLL, -1, by)):
-        value[axis] += gain[axis] * m * steady
+    total, (bx, by) = thrust @ (factors * layout.thrust), x[steady]
+    derivative[PITCH, :, centre.start] = -gain[PITCH] * total
+    derivative[ROLL, :, centre.start + 1] = gain[ROLL] * total
+    for axis, place, torque in ((PITCH, steady.start, -bx), (ROLL, steady.start + 1, by)):
+        value[axis] += gain[axis] * m * torque
         derivative[axis, :, SHAPE + axis] = value[axis]
         derivative[axis, :, place] = gain[axis] * m * (-1.0 if axis == PITCH else 1.0)
+    _led(x[LEAD], value, derivative, dt_s)
     return value, derivative
+
+
+def _led(lead_s: float, value: NDArray[np.float64], derivative: NDArray[np.float64], dt_s: float) -> None:
+    """In place: what turns a rotor faster turns the vehicle the other way, in proportion to the change of thrust. Of a
+    propeller of 15 inches that is ahead of its drag by as much as its motor lags."""
+    change = np.gradient(value[YAW], dt_s)
+    value[YAW] += lead_s * change
+    derivative[YAW] += lead_s * np.gradient(derivative[YAW], dt_s, axis=0)
+    derivative[YAW, :, LEAD] = change

@@ -31,8 +31,8 @@ def parse_failures(texts: list[str]) -> list[tuple[int, float]]:
     return out
 
 
-def _logged(fleet: Fleet, log: Path, seconds: float) -> None:
-    """In virtual time. Raises ConfigError."""
+def _logged(fleet: Fleet, log: Path, seconds: float, px4: dict[str, float] | None) -> None:
+    """In virtual time. ``px4``: parameters of a PX4 that are not stock. Raises ConfigError."""
     from sitl.trials.flown_log import write
 
     if log.suffix != ".tlog":
@@ -40,7 +40,7 @@ def _logged(fleet: Fleet, log: Path, seconds: float) -> None:
     if not fleet.state.position_m[0, 2] < 0.0:
         raise ConfigError("--log: the flight begins in the air; give --height METRES")
     try:
-        write(fleet, [log], seconds)
+        write(fleet, [log], seconds, parameters=px4 is not None, px4=px4)
     except OSError as error:
         raise ConfigError(f"{log} cannot be written: {error.strerror}") from error
     console.print(f"{log}: {seconds:.0f} s of flight", highlight=False, soft_wrap=True)
@@ -63,7 +63,10 @@ def sitl(
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
     thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
     personality: Annotated[
-        str, typer.Option(help="plain, or ardupilot: stock messages, and our applet in a real Lua.")
+        str,
+        typer.Option(
+            help="plain; ardupilot: stock messages, and our applet in a real Lua; px4: v1.16, by its parameters."
+        ),
     ] = "plain",
     serve_px4: Annotated[bool, typer.Option("--serve-px4", help="Be the physics of a real PX4, TCP 4560.")] = False,
     serve_ardupilot: Annotated[
@@ -78,8 +81,9 @@ def sitl(
     """Emulate a vehicle that speaks MAVLink, in real time; or be the physics of a real autopilot."""
     if serve_px4 and serve_ardupilot:
         raise ConfigError("--serve-px4 and --serve-ardupilot exclude each other: one plant, one brain")
-    if personality not in ("plain", "ardupilot"):
-        raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
+    if personality not in ("plain", "ardupilot", "px4"):
+        raise ConfigError(f"personality {personality!r} is unknown: choose plain, ardupilot or px4")
+    px4: dict[str, float] | None = {} if personality == "px4" else None
     if serve_px4 or serve_ardupilot:
         from sitl.trials.serve import ServeOptions, serve
 
@@ -118,7 +122,7 @@ def sitl(
     plant = plant_airframe.load(vehicle.path_of(airframe), thrust_to_weight=thrust_to_weight or None)
     fleet = Fleet(plant, options, faults)
     if log is not None:
-        _logged(fleet, log, seconds or _LOGGED_S)
+        _logged(fleet, log, seconds or _LOGGED_S, px4)
         return
     link = LinkOptions(latency_s=1e-3 * latency, jitter_s=1e-3 * jitter, loss=0.01 * loss, corruption=0.01 * corruption)
     card = None
@@ -127,7 +131,7 @@ def sitl(
 
         card = temporary_card()
         Workshop.prepare(vehicle.load(airframe, thrust_to_weight=thrust_to_weight or None), "trim", card.name)
-    server = Server(fleet, urls, link=link, seed=seed, card=None if card is None else Path(card.name))
+    server = Server(fleet, urls, link=link, seed=seed, card=None if card is None else Path(card.name), px4=px4)
     console.print(f"{airframe} on {', '.join(urls)}", highlight=False)
     try:
         server.run(seconds or float("inf"))

@@ -51,6 +51,7 @@ def _table(state: dict[str, Any]) -> Any:
         )
     autopilot = state["autopilot"]
     allocation = "no autopilot heard" if autopilot is None else f"motors driven by: {autopilot['allocation']}"
+    proposal = state.get("proposal", {"state": "off"})
     age = "never" if state["sample_age_s"] is None else f"{state['sample_age_s']:.2f} s ago"
     table.caption = (
         f"{state['rate_hz']:.0f} Hz, step {state['step_us']:.0f} us, last sample {age}; {allocation}; "
@@ -59,6 +60,7 @@ def _table(state: dict[str, Any]) -> Any:
         + "".join(f"; {name} {s['hz']:.0f} of {s['asked_hz']:.0f} Hz" for name, s in state["slow_streams"].items())
         + "".join(f"; motor {motor}: speed sensor" for motor in state["speed_sensor_faults"])
         + (f"; airframe file: {state['airframe_fit']['text']}" if "airframe_fit" in state else "")
+        + (f"; {proposal['text']}" if proposal.get("state") not in ("off", "waiting") else "")
     )
     return table
 

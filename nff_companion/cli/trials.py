@@ -21,6 +21,9 @@ def survey(
     wrong_file: Annotated[
         int, typer.Option("--wrong-file", min=0, help="So many flights with a wrong airframe file instead.")
     ] = 0,
+    first_seconds: Annotated[
+        int, typer.Option("--first-seconds", min=0, help="So many of each kind from the ground: what is known in 10 s.")
+    ] = 0,
     compare: Annotated[bool, typer.Option("--compare", help="Healthy flights without the companion too.")] = False,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds for each set of failures.")] = 3,
     first_seed: Annotated[int, typer.Option(min=1, help="The seeds count from it.")] = 1,
@@ -55,6 +58,9 @@ def survey(
         raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
     if wrong_file:
         _wrong_files(wrong_file, airframe, first_seed, workers or None, json=json)
+        return
+    if first_seconds:
+        _first_seconds(first_seconds, airframe, first_seed, json=json)
         return
     options = surveys.SurveyOptions(
         airframe=airframe,
@@ -106,6 +112,18 @@ def _wrong_files(count: int, airframe: str, seed: int, workers: int | None, *, j
         say(f"{flight['case']}, seed {flight['seed']}: {flight['why']}; says: {flight['says']}; {flight['text']}")
     for kind, counts in document["summary"].items():
         say(f"{kind:10} " + ", ".join(f"{name} {number}" for name, number in counts.items()))
+
+
+def _first_seconds(count: int, airframe: str, seed: int, *, json: bool) -> None:
+    from sitl.trials import first_seconds
+
+    document = first_seconds.run(airframe, count, seed)
+    if json:
+        print_json(document)
+        return
+    for name, lines in document["summary"].items():
+        for line in lines:
+            say(f"{name}: " + ", ".join(f"{key} {value}" for key, value in line.items() if value is not None))
 
 
 def replay(

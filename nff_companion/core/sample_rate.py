@@ -49,6 +49,7 @@ class Agreement:
     def __init__(self, agreed_hz: float, tuning: SampleRateTuning = DEFAULT.sample_rate) -> None:
         self.agreed_hz, self._tuning = agreed_hz, tuning
         self._measured = SampleRate(tuning)
+        self._new = True  # nothing was measured since it was agreed
 
     def add(self, time_s: float) -> None:
         """One sample."""
@@ -57,10 +58,13 @@ class Agreement:
     def restart(self) -> None:
         """Nothing measured."""
         self._measured.restart()
+        self._new = False
 
     def build_for(self, built_hz: float) -> float:
         """Rate that an estimator built for ``built_hz`` should be built for, between flights."""
         measured = self._measured.hz
+        if measured is None and self._new:
+            return self.agreed_hz
         if measured is None or abs(measured / self.agreed_hz - 1.0) > self._tuning.off_share:
             return built_hz
         return measured if abs(measured / built_hz - 1.0) > self._tuning.same_share else built_hz

@@ -79,8 +79,16 @@ class CompanionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     allocation: Annotated[
         Literal["pinv", "mca", "kim", "printed", "trim"], about("", "method of allocation; trim is the one that flies")
     ] = "trim"
+    propose: Annotated[
+        bool,
+        about(
+            "", "after a landing, calibrate from what was flown, and write a better airframe file beside: docs/fit.md"
+        ),
+    ] = True
     status_socket: Annotated[Text, about("", "where nff monitor asks; empty: in the runtime folder")] = ""
-    state_folder: Annotated[Text, about("", "journal of changed PX4 parameters; empty: the service's own")] = ""
+    state_folder: Annotated[
+        Text, about("", "journal of changed PX4 parameters, proposed airframe files; empty: the service's own")
+    ] = ""
 
 
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from nff_companion.condition import Reason
 from nff_companion.core.fit import Fit
 from nff_companion.daemon.configuration import Config
 from nff_companion.daemon.loop import IDLE_S, Loop
@@ -21,10 +22,11 @@ class FitCheck:
         self._session = prepare(config, time.monotonic(), act=False)
 
     def watch(self, seconds: float, wait_s: float, said: Callable[[Moment], None]) -> Fit:
-        """The judgement ``seconds`` after a flight was seen, for which it waits ``wait_s`` at most; ``said`` is given
-        every moment that says something else than the one before."""
+        """The judgement ``seconds`` of the vehicle's clock after a flight was seen, for which it waits ``wait_s`` at
+        most, or when it is no longer heard then; ``said`` is given every moment that says something else than the one
+        before."""
         session, began, last = self._session, time.monotonic(), ""
-        since: float | None = None  # when the flight was seen
+        since: tuple[float, float] | None = None  # of our clock and of the vehicle's, when the flight was seen
         try:
             while True:
                 self._loop.turn(session, IDLE_S)
@@ -33,9 +35,15 @@ class FitCheck:
                 if text != last:
                     last = text
                     said(moment)
-                if since is None and moment.output.fit.seen.seconds > 0.0:
-                    since = now
-                if now - (began if since is None else since) >= (wait_s if since is None else seconds):
-                    return moment.output.fit
+                output, fit = moment.output, moment.output.fit
+                if since is None:
+                    if fit.seen.seconds > 0.0:
+                        since = now, output.time_s
+                    elif now - began >= wait_s:
+                        return fit
+                    continue
+                silent = moment.verdict.reason == Reason.TELEMETRY_STOPPED and now - since[0] >= seconds
+                if silent or output.time_s - since[1] >= seconds:
+                    return fit
         finally:
             self._loop.close()

@@ -16,7 +16,8 @@ from nff_companion.core.decision import Event
 from nff_companion.daemon.configuration import MODES, Config, default_status_socket
 from nff_companion.daemon.loop import IDLE_S, Loop
 from nff_companion.daemon.notify import Notifier
-from nff_companion.daemon.startup import endpoints, prepare
+from nff_companion.daemon.proposal import Proposer, Source
+from nff_companion.daemon.startup import endpoints, prepare, state_folder
 from nff_companion.daemon.status_server import StatusServer
 from nff_companion.errors import NffError
 from nff_companion.mavlink.services import host_status
@@ -35,6 +36,10 @@ class Daemon:
         self.loop = Loop(endpoints(config), config.link.component, clock)
         self.session = prepare(config, clock(), host_status=host_status.status_message)
         self._status = StatusServer(config.companion.status_socket or default_status_socket(), self._request)
+        self._proposer: Proposer | None = None
+        if self.session.recorder is not None:
+            source = Source(config.vehicle.airframe, config.vehicle.thrust_to_weight, state_folder(config))
+            self._proposer = Proposer(source, self.session.recorder, config.tuning.proposal.patience_s)
         self.loop.poll.register(self._status.fileno(), select.POLLIN)
         self._stopping = False
         self._next_watchdog_s = -float("inf")
@@ -68,6 +73,10 @@ class Daemon:
             self._next_watchdog_s = now + (self._notifier.watchdog_interval_s or 1.0)
             self._notifier.watchdog()
             self._notifier.status(self.session.reporter.line(self.session.moment()))
+        if self._proposer is not None:
+            note = self._proposer.turn(self.session, now)
+            if note is not None:
+                self.loop.send(self.session.tell(note, now))
         self._log_changes()
 
     def _log_changes(self) -> None:
@@ -105,7 +114,9 @@ class Daemon:
                 return {"error": f"command {command!r} is unknown: status, lift or mode"}
         except (KeyError, ValueError, TypeError, OverflowError) as error:
             return {"error": f"bad request: {error}"}
-        return self.session.document(self.loop.clock())
+        document = self.session.document(self.loop.clock())
+        document["proposal"] = {"state": "off"} if self._proposer is None else self._proposer.document()
+        return document
 
     def _order(self, orders: Orders) -> None:
         log.warning("operator: %s", orders)
@@ -114,6 +125,8 @@ class Daemon:
     def close(self) -> None:
         """Give the vehicle back (confirmed declarations stay), wait for what must be confirmed, and close."""
         self._notifier.stopping()
+        if self._proposer is not None:
+            self._proposer.close()
         now = self.loop.clock()
         self.loop.send(self.session.leave(now))
         deadline = now + _FAREWELL_S

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from nff_companion.autopilots.meeting import Meeting
+from nff_companion.calibration.recorder import FlightRecorder
 from nff_companion.companion import Companion
 from nff_companion.core import basis_network
 from nff_companion.core import vehicle as vehicle_model
@@ -26,7 +27,7 @@ def prepare(
 ) -> Session:
     """The session of ``config``; ``act`` False: one that changes nothing. Raises ConfigError, NetworkError."""
     vehicle = vehicle_model.load(config.vehicle.airframe, thrust_to_weight=config.vehicle.thrust_to_weight)
-    folder = Path(config.companion.state_folder or default_state_folder())
+    folder = state_folder(config)
     link, method = config.link, config.companion.allocation
     instance = 1 + secrets.randbelow(0xFFFF)
     meeting = Meeting(vehicle, link.autopilot, method, folder / _JOURNAL, link.px4_method, instance=instance)
@@ -45,7 +46,16 @@ def prepare(
         act=act,
         network_note=note or _NO_NETWORK,
     )
-    return Session(companion, meeting, options, now_s, host_status)
+    recorder = None
+    if act and config.companion.propose:
+        kept = config.tuning.proposal
+        recorder = FlightRecorder(vehicle.motors, min(round(kept.memory_s * link.rate_hz), kept.samples_max))
+    return Session(companion, meeting, options, now_s, host_status, recorder)
+
+
+def state_folder(config: Config) -> Path:
+    """Where what must survive is kept."""
+    return Path(config.companion.state_folder or default_state_folder())
 
 
 def endpoints(config: Config) -> list[str]:

@@ -21,6 +21,7 @@ from nff_companion.calibration.record import Piece, Record, record
 from nff_companion.core import toml_file
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.airframe_file import AirframeFile
+from nff_companion.core.motor_order import Order
 from nff_companion.core.tuning import DEFAULT
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import ConfigError, NotJudged
@@ -41,6 +42,18 @@ _OUTPUTS_MIN_HZ = 45.0
 _FITS, _CLEARLY = 0.45, 0.08
 # Parameters that the link compares with the file's: with another curve than the autopilot's own nothing would fly.
 _CURVE_TOLD = {"thrust_expo": ("MOT_THST_EXPO", "THR_MDL_FAC"), "spin_min": ("MOT_SPIN_MIN",)}
+
+
+class TooShort(NotJudged):
+    """More flight is needed."""
+
+
+class OtherOrder(NotJudged):
+    """The motors are in another ``order`` than the file has them."""
+
+    def __init__(self, message: str, order: Order) -> None:
+        super().__init__(message)
+        self.order = order
 
 
 @dataclass(frozen=True)
@@ -70,7 +83,12 @@ def calibrate(paths: Sequence[Path], start: Start, name: str) -> Calibration:
     """The airframe called ``name`` from all flights in ``paths``, whose logs are one vehicle's. Raises LogError,
     NotJudged with what the logs lack, ConfigError."""
     found = [flight for path in paths for flight in flights(path)]
-    text, vehicle = _start(found[0], start)
+    return of_flights(found, *_start(found[0], start), name)
+
+
+def of_flights(found: list[LogFlight], text: str, vehicle: Vehicle, name: str) -> Calibration:
+    """The same from flights that were read, and the file ``text`` of ``vehicle`` to begin with. Raises as that does:
+    TooShort and OtherOrder too."""
     vehicle = found[0].fit(vehicle)
     pieces = []
     for flight in found:
@@ -87,7 +105,7 @@ def calibrate(paths: Sequence[Path], start: Start, name: str) -> Calibration:
         pieces += record([sample for _, sample in rows]).pieces
     whole = _shortened(Record(pieces), _MOST_S)  # more adds time, and little else
     if whole.duration_s < _LEAST_S:
-        raise NotJudged(f"{whole.duration_s:.0f} s of flight without gaps; {_LEAST_S:.0f} s or more are needed")
+        raise TooShort(f"{whole.duration_s:.0f} s of flight without gaps; {_LEAST_S:.0f} s or more are needed")
     return _calibrated(found, whole, vehicle, text, name)
 
 
@@ -169,9 +187,10 @@ def _start_of(vehicle: Vehicle) -> NDArray[np.float64]:
 def _ordered(weighed: Weighed, vehicle: Vehicle) -> None:
     """Raises NotJudged."""
     if weighed.off < _FITS and weighed.off_file - weighed.off > _CLEARLY:
-        raise NotJudged(
+        raise OtherOrder(
             f"{weighed.best.text} against airframe {vehicle.name}: the autopilot gives its motors other shares of roll,"
-            " pitch and yaw; correct the frame, or the numbers and spins of [[rotor]]"
+            " pitch and yaw; correct the frame, or the numbers and spins of [[rotor]]",
+            weighed.best,
         )
 
 

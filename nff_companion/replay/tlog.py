@@ -127,7 +127,7 @@ class _Heard:
     vehicle: bool | None = None  # None: no heartbeat
     counts: dict[str, int] = field(default_factory=dict)
     armed_s: float | None = None  # first heard to be armed
-    parameters: Parameters = field(default_factory=Parameters)
+    written: list[tuple[float, Message]] = field(default_factory=list)  # PARAM_VALUEs
 
     def take(self, stamp: float, message: Message) -> None:
         kind = message.get_type()
@@ -141,13 +141,23 @@ class _Heard:
             if self.armed_s is None and message.base_mode & _ARMED:
                 self.armed_s = stamp
         elif kind == "PARAM_VALUE":
-            bytewise = self.heartbeat is not None and self.heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4
-            value = decode(message.param_value, message.param_type, bytewise=bytewise)
-            self.parameters.put(stamp, name_of(message), value)
+            self.written.append((stamp, message))
+
+    def parameters(self) -> Parameters:
+        """Of the whole log: how integers are written the heartbeat says, which may come after them."""
+        found = Parameters()
+        for stamp, message in self.written:
+            value = decode(message.param_value, message.param_type, bytewise=self.px4)
+            found.put(stamp, name_of(message), value)
+        return found
 
     @property
     def ardupilot(self) -> bool:
         return self.heartbeat is not None and self.heartbeat.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+    @property
+    def px4(self) -> bool:
+        return self.heartbeat is not None and self.heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4
 
 
 def flights(path: Path) -> list[LogFlight]:
@@ -172,39 +182,38 @@ def flights(path: Path) -> list[LogFlight]:
 
 def _flight(path: Path, system: int, heard: _Heard, first_s: float, notes: list[str]) -> LogFlight:
     take_off_s = first_s if heard.armed_s is None else heard.armed_s
-    frame = ardupilot.frame_of(heard.parameters.at(take_off_s)) if heard.ardupilot else None
+    parameters = heard.parameters()
+    frame = ardupilot.frame_of(parameters.at(take_off_s)) if heard.ardupilot else None
     if frame is None and heard.ardupilot and heard.heartbeat.type in _MOTORS:
         motors = _MOTORS[heard.heartbeat.type]
         frame = Frame(f"{motors} motors by MAV_TYPE {heard.heartbeat.type}", motors)
-    px4 = heard.heartbeat is not None and heard.heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4
 
     def fit(vehicle: Vehicle) -> Vehicle:
-        if px4:
+        if heard.px4:
             return vehicle.with_telemetry(TelemetryTable(0.0, 0.0))
-        return ardupilot.fitted(vehicle, heard.parameters.at(take_off_s)) if heard.ardupilot else vehicle
+        return ardupilot.fitted(vehicle, parameters.at(take_off_s)) if heard.ardupilot else vehicle
 
     return LogFlight(
         path=path,
-        autopilot="ardupilot" if heard.ardupilot else "px4" if px4 else "",
+        autopilot="ardupilot" if heard.ardupilot else "px4" if heard.px4 else "",
         system=system,
-        parameters=heard.parameters,
+        parameters=parameters,
         frame=frame,
         first_s=first_s,
         take_off_s=take_off_s,
-        read=lambda vehicle: _rows(heard, vehicle, frame, take_off_s),
+        read=lambda vehicle: _rows(heard, vehicle, frame, parameters.at(take_off_s)),
         fit=fit,
         notes=notes,
     )
 
 
-def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, take_off_s: float) -> Reading:
+def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, values: dict[str, float]) -> Reading:
     """By the decoder of the live link. Raises NotJudged."""
     for name in ("HEARTBEAT", "HIGHRES_IMU", "SERVO_OUTPUT_RAW"):
         if not heard.counts.get(name):
             raise NotJudged(f"no {name} of the autopilot: have it sent and logged")
     channels = None
     if heard.ardupilot:
-        values = heard.parameters.at(take_off_s)
         wrong = ardupilot.misfit(values, vehicle, frame)
         if wrong:
             raise NotJudged(wrong)

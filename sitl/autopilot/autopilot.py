@@ -51,6 +51,7 @@ class Autopilot:
         self.ports = [CompanionPort(m) for _ in range(n)]
         self.scripted: dict[int, ScriptedPort] = {}  # vehicles whose mixer factors and channels scripts reach
         self.overridden: dict[int, ScriptedPort] = {}  # vehicles whose channels alone they reach
+        self.mixers: dict[int, mixer.OwnMixer] = {}  # vehicles that mix in a way of their own
         self.armed = np.zeros(n, bool)
         self.mode = np.full(n, Mode.GROUND)
         self.allocation = np.full(n, Allocation.STOCK)
@@ -166,6 +167,11 @@ class Autopilot:
         output = mixer.thrust_to_output(thrust, self._expo, self._spin_min, self._p.spin_max)
         output = np.where(self._dead, 0.0, output)
         output = np.where(np.isnan(self._override), output, self._override)
+        for vehicle, own in self.mixers.items():
+            asked = flying[vehicle] * demand[vehicle]  # on the ground the motors idle
+            mixed = own.mix(float(asked[0]), asked[1:], armed=bool(self.armed[vehicle]), now_s=now_s)
+            output[vehicle], self._limited[vehicle] = mixed.output, mixed.torque_limited
+            self._throttle_limited[vehicle] = mixed.throttle_limited or not 0.0 < self.throttle[vehicle] < 1.0
         output = np.where(flying[:, None], output, np.where(self.armed[:, None], self._spin_min, 0.0))
         self.output = output
         if not flying.all():

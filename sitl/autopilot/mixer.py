@@ -6,6 +6,7 @@ After AP_MotorsMatrix::output_armed_stabilizing and Thrust_Linearization (Copter
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,22 @@ class Limits:
     yaw: NDArray[np.bool_]
     throttle_upper: NDArray[np.bool_]
     throttle_lower: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Mixed:
+    """Of one vehicle: outputs (m,) in 0..1, and which torques (3,), or thrust, could not be met."""
+
+    output: NDArray[np.float64]
+    torque_limited: NDArray[np.bool_]
+    throttle_limited: bool
+
+
+class OwnMixer(Protocol):
+    """In place of the mixer below, for one vehicle."""
+
+    def mix(self, throttle: float, torque: NDArray[np.float64], *, armed: bool, now_s: float) -> Mixed:
+        """``throttle`` 0..1 and ``torque`` (3,) -1..1 as the loops ask for them."""
 
 
 def mix(

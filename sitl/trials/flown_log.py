@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 from nff_companion.mavlink.codec import COMPANION_COMPONENT, Codec, dialect
@@ -31,23 +32,30 @@ def _script_s(time_s: float, seconds: float) -> float:
     return time_s if time_s < last else first + (time_s - last) % (last - first)
 
 
-def write(fleet: Fleet, paths: list[Path], seconds: float, *, parameters: bool = False) -> None:
-    """Fly steps, a square, climbs and turns, and keep what each vehicle tells, one file for each."""
+def write(
+    fleet: Fleet, paths: list[Path], seconds: float, *, parameters: bool = False, px4: Mapping[str, float] | None = None
+) -> None:
+    """Fly steps, a square, climbs and turns, and keep what each vehicle tells, one file for each. ``px4``: they are
+    PX4s with these parameters that are not stock, and tell all of them where ``parameters`` are asked for."""
     script = Script(fleet)
     codec = Codec(SYSTEM, COMPANION_COMPONENT)
-    autopilots = [WireAutopilot(fleet, vehicle) for vehicle in range(fleet.vehicles)]
+    autopilots = [WireAutopilot(fleet, vehicle, px4=px4) for vehicle in range(fleet.vehicles)]
     for autopilot in autopilots:
         for message_id, rate_hz in _STREAMS_HZ.items():
             ask = dialect.MAVLink_command_long_message(
                 SYSTEM, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0
             )
             autopilot.take(codec.pack(ask))
-        for name in _PARAMETERS if parameters else ():
+        if parameters and px4 is not None:
+            autopilot.take(codec.pack(dialect.MAVLink_param_request_list_message(SYSTEM, 1)))
+        for name in _PARAMETERS if parameters and px4 is None else ():
             autopilot.take(codec.pack(dialect.MAVLink_param_request_read_message(SYSTEM, 1, name.encode(), -1)))
     files = [path.open("wb") for path in paths]
     while fleet.time_s < seconds:
         time_s = fleet.time_s
         script.step(_script_s(time_s, seconds))
+        for autopilot in autopilots:
+            autopilot.scripts()
         fleet.step()
         stamp = _STAMP.pack(round(1e6 * (1_700_000_000.0 + fleet.time_s)))
         for autopilot, file in zip(autopilots, files, strict=True):

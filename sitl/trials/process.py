@@ -60,7 +60,8 @@ def config_text(
     ratio = "" if thrust_to_weight is None else f"thrust_to_weight = {thrust_to_weight}\n"
     # By its name: also for a relative of the airframe that it was trained on.
     network = vehicle_model.load(airframe).network or "none"
-    folder = "" if state_folder is None else f'state_folder = "{state_folder}"\n'
+    # Without a folder of the trial's own nothing may be left in the owner's.
+    folder = "propose = false\n" if state_folder is None else f'state_folder = "{state_folder}"\n'
     return (
         f'[link]\nendpoint = "{endpoint}"\nrate_hz = {rate_hz}\n\n'
         f'[vehicle]\nairframe = "{airframe}"\nnetwork = "{network}"\n{ratio}\n'

@@ -6,7 +6,7 @@ Every message is encoded, delayed and decoded; loop, schedule and adapters are t
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -20,6 +20,7 @@ from nff_companion.autopilots.ardupilot.before import of_trial
 from nff_companion.autopilots.ardupilot.install import install
 from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.meeting import Kind, Meeting
+from nff_companion.autopilots.px4.adapter import Method
 from nff_companion.companion import Companion
 from nff_companion.companion_state import Orders, Output
 from nff_companion.condition import Mode
@@ -67,6 +68,16 @@ class Workshop:
         card = Path(folder)
         install(vehicle, card, of_trial(vehicle), method=method)
         return Workshop(tables.compute(vehicle, allocator(method)), card)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Px4Trial:
+    """``state``: folder of the companions' journals; ``method`` by which they tell PX4 of a failure; ``parameters``
+    that are not stock."""
+
+    state: Path
+    method: Method = "scale"
+    parameters: Mapping[str, float | int] = field(default_factory=dict)
 
 
 def temporary_card() -> tempfile.TemporaryDirectory[str]:
@@ -170,9 +181,10 @@ class VirtualFlight:
         rotor_speeds: bool = False,
         alter: Alter | None = None,
         stubborn_hz: float | None = None,
+        px4: Px4Trial | None = None,
     ) -> None:
-        """``workshop``: the vehicles are ArduPilots with our applet; without it, they speak our dialect. ``alter`` is
-        the hand of a test on the samples."""
+        """``workshop``: the vehicles are ArduPilots with our applet; ``px4``: they are PX4s; with neither, they speak
+        our dialect. ``alter`` is the hand of a test on the samples."""
         self.fleet = fleet
         model = vehicle_model.load(airframe, thrust_to_weight=thrust_to_weight)
         rate = AUTOPILOT_RATE_HZ / max(round(AUTOPILOT_RATE_HZ / rate_hz), 1)
@@ -182,9 +194,10 @@ class VirtualFlight:
             model = vehicle_model.load(options.airframe) if options.airframe else flown
             meeting = _TrialMeeting(
                 model,
-                "nff" if workshop is None else "ardupilot",
+                "px4" if px4 is not None else "nff" if workshop is None else "ardupilot",
                 options.allocation,
-                Path("/nonexistent"),
+                Path("/nonexistent") if px4 is None else px4.state / f"{index + 1}.journal",
+                "scale" if px4 is None else px4.method,
                 instance=index + 1,
                 plans=None if workshop is None else workshop.plans,
             )
@@ -203,7 +216,14 @@ class VirtualFlight:
             )
             session = Session(companion, meeting, SessionOptions(mode=options.mode, rate_hz=rate), 0.0)
             card = None if workshop is None else workshop.card
-            autopilot = WireAutopilot(fleet, index, card=card, rotor_speeds=rotor_speeds, stubborn_hz=stubborn_hz)
+            autopilot = WireAutopilot(
+                fleet,
+                index,
+                card=card,
+                rotor_speeds=rotor_speeds,
+                stubborn_hz=stubborn_hz,
+                px4=None if px4 is None else px4.parameters,
+            )
             self.companions.append(TrialCompanion(index, session, autopilot, link_delay_s))
 
     def step(self) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from nff_companion.mavlink.codec import Codec, Message, dialect
-from sitl.autopilot.ardupilot.personality import ArduPilotPersonality
 from sitl.autopilot.nff_port import NffPort
-from sitl.commands import Commander
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
-from sitl.telemetry import Telemetry
+from sitl.personality import spokesman
 
 SYSTEM = 1
 _DEFAULT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_NFF_APPLIED: 20.0}
@@ -23,7 +22,7 @@ _SPEEDS = (
 
 
 class WireAutopilot:
-    """``card``: folder with scripts; then the vehicle is an ArduPilot, without it one that speaks our dialect."""
+    """``card``: folder with scripts; then the vehicle is an ArduPilot. Neither that nor PX4, it speaks our dialect."""
 
     def __init__(
         self,
@@ -33,20 +32,20 @@ class WireAutopilot:
         card: Path | None = None,
         rotor_speeds: bool = False,
         stubborn_hz: float | None = None,
+        px4: Mapping[str, float | int] | None = None,
     ) -> None:
-        """``stubborn_hz``: the rate at which every stream comes, whatever was asked for."""
+        """``stubborn_hz``: the rate at which every stream comes, whatever was asked for; ``px4``: it is a PX4, with
+        these parameters that are not stock."""
         self._stubborn_hz = stubborn_hz
         self._fleet, self._codec = fleet, Codec(SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1)
-        telemetry = Telemetry(fleet, vehicle)
-        self._makers = dict(telemetry.makers)
-        self._commander = Commander(fleet, telemetry, SYSTEM)
+        speaks = spokesman(fleet, vehicle, SYSTEM, card=card, px4=px4)
+        self._telemetry, self.personality, self.px4 = speaks.telemetry, speaks.ardupilot, speaks.px4
+        self._commander, self._parameters = speaks.commander, speaks.parameters
+        self._makers = dict(speaks.telemetry.makers)
+        self._our_dialect = self.personality is None and self.px4 is None
         self._port = NffPort(fleet, vehicle)
-        self.personality: ArduPilotPersonality | None = None
-        if card is not None:
-            self.personality = ArduPilotPersonality(fleet, vehicle, card, self._commander.params, SYSTEM)
-            del self._makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]
         for message_id in () if rotor_speeds else _SPEEDS:
-            del self._makers[message_id]
+            self._makers.pop(message_id, None)
         self._every = {i: _cycles(hz) for i, hz in _DEFAULT_HZ.items() if i in self._makers}
         self._out: list[bytes] = []
 
@@ -54,29 +53,48 @@ class WireAutopilot:
         """What has arrived, before the autopilot's loops."""
         for message in self._codec.parse(data):
             kind = message.get_type()
-            if self.personality is None and self._port.take(message):
+            if self._our_dialect and self._port.take(message):
                 if kind == "NFF_MOTOR_DECLARATION":
                     self._say(self._makers[dialect.MAVLINK_MSG_ID_NFF_APPLIED]())
             elif kind == "TUNNEL" and self.personality is not None:
                 self.personality.receive(message, 0)
             elif kind == "PARAM_REQUEST_READ":
-                answer = self._commander.parameter(message.param_id)
-                if answer is not None:
-                    self._say(answer)
+                self._tell(message.param_id)
+            elif kind == "PARAM_REQUEST_LIST":
+                for name in self._parameters.names:
+                    self._tell(name)
+            elif kind == "PARAM_SET":
+                self._parameters.take(message.param_id, message.param_value, message.param_type)
+                self._tell(message.param_id)
             elif kind == "COMMAND_LONG":
                 self._command(message)
 
+    def _tell(self, name: str) -> None:
+        answer = self._parameters.message(name)
+        if answer is not None:
+            self._say(answer)
+
     def _command(self, message: Message) -> None:
+        if message.command == dialect.MAV_CMD_INJECT_FAILURE:
+            result, _ = self._commander.command(message)
+            if result is not None:
+                self._say(dialect.MAVLink_command_ack_message(message.command, result))
+            return
         message_id = int(message.param1)
         if message_id not in self._makers:
             return
         if message.command == dialect.MAV_CMD_REQUEST_MESSAGE:
             self._say(self._makers[message_id]())
         elif message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL and message.param2 > 0.0:
-            self._every[message_id] = _cycles(self._stubborn_hz or 1e6 / message.param2)
+            interval_us = 1e6 / self._stubborn_hz if self._stubborn_hz else message.param2
+            every = self._telemetry.cycles(message_id, interval_us)
+            if every is not None:
+                self._every[message_id] = every
 
     def scripts(self) -> None:
-        """The scripts' turn, before the autopilot's loops."""
+        """The personality's turn, before the autopilot's loops."""
+        if self.px4 is not None:
+            self.px4.step()
         if self.personality is not None:
             self.personality.step()
             for _, message in self.personality.outgoing():

@@ -11,10 +11,10 @@ import multiprocessing
 import os
 import tomllib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -63,6 +63,13 @@ class Case:
         if self.motors:
             return f"{self.kind} {', '.join(map(str, self.motors))}"
         return self.kind if self.factor == 1.0 else f"{self.kind} x {self.factor:g}"
+
+
+class Pilot(Protocol):
+    """Who flies the fleet."""
+
+    def step(self, time_s: float) -> None:
+        """Goals for ``time_s`` since the start."""
 
 
 class Script:
@@ -144,8 +151,22 @@ def _toml(data: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def fly(airframe: str, cases: list[Case], seed: int, *, rate_hz: float = 200.0, seconds: float = SECONDS) -> list[Any]:
-    """One row a case: what the companion declared, thought of its file, and said, in so many ``seconds`` of flight."""
+def _first_flight(flight: VirtualFlight) -> Script:
+    return Script(flight.fleet)
+
+
+def fly(
+    airframe: str,
+    cases: list[Case],
+    seed: int,
+    *,
+    rate_hz: float = 200.0,
+    seconds: float = SECONDS,
+    begin: Callable[[VirtualFlight], Pilot] = _first_flight,
+    height_m: float = HEIGHT_M,
+) -> list[Any]:
+    """One row a case: what the companion declared, thought of its file, and said, in so many ``seconds`` of flight from
+    ``height_m`` (0: from the ground); ``begin`` gives who flies."""
     true = [index for index, case in enumerate(cases) if case.kind != "estimated"]
     guessed = [index for index, case in enumerate(cases) if case.kind == "estimated"]
     rows: list[Any] = [None] * len(cases)
@@ -164,7 +185,7 @@ def fly(airframe: str, cases: list[Case], seed: int, *, rate_hz: float = 200.0, 
             uncertainty=uncertainty,
             wind_m_s=wind,
             turbulence_m_s=[0.25 * w for w in wind],
-            height_m=HEIGHT_M,
+            height_m=height_m,
         )
         faults = [
             Fault(vehicle=place, motor=cases[index].motors[0], start_s=_FAULT_S)
@@ -181,16 +202,15 @@ def fly(airframe: str, cases: list[Case], seed: int, *, rate_hz: float = 200.0, 
                 for place, index in enumerate(group)
             }
             flight = VirtualFlight(Fleet(plants, options, faults), companions, airframe=airframe, rate_hz=rate_hz)
-        flown = _flown(flight, seconds)
+        flown = _flown(flight, seconds, begin(flight))
         for place, index in enumerate(group):
             rows[index] = {"airframe": airframe, "case": cases[index].name, "kind": cases[index].kind, **flown[place]}
             rows[index] |= {"seed": seeds[place], "wind_m_s": wind[place]}
     return rows
 
 
-def _flown(flight: VirtualFlight, seconds: float) -> list[dict[str, Any]]:
-    """Fly the first flight; what each companion made of it."""
-    script = Script(flight.fleet)
+def _flown(flight: VirtualFlight, seconds: float, script: Pilot) -> list[dict[str, Any]]:
+    """Fly; what each companion made of it."""
     seen: list[dict[str, Any]] = [{"contradicted_s": None, "fits_s": None, "acted": False} for _ in flight.companions]
     for _ in range(math.ceil(seconds * AUTOPILOT_RATE_HZ)):
         script.step(flight.fleet.time_s)

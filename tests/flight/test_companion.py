@@ -142,7 +142,7 @@ def test_on_the_ground_nothing_is_estimated(recorded: list[Sample]) -> None:
 
 def test_a_declaration_latches_while_the_motor_stands_still_and_the_operator_lifts_it() -> None:
     trial = flight("octo-x", [Fault(vehicle=0, motor=4, start_s=4.0)])
-    assert fly(trial, 12.0).failed.tolist() == [False] * 3 + [True] + [False] * 4
+    assert fly(trial, 8.0).failed.tolist() == [False] * 3 + [True] + [False] * 4
     assert trial.fleet.autopilot.output[0, 3] == 0.0, "the declared motor is stopped"
     trial.companions[0].order(Orders(lift=(4,)))
     assert not trial.companions[0].output.failed.any()

@@ -19,7 +19,7 @@ NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 
 @pytest.mark.parametrize("detector", ["sparse", "imm"])
 def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(survey, "FLY_ON_S", 6.0)
+    monkeypatch.setattr(survey, "FLY_ON_S", 3.0)
     document = run(SurveyOptions(seeds=1, first_seed=2, detector=detector), [(3,)], workers=1)
     (flight,) = document["flights"]
     assert flight["seed"] == 2

@@ -26,6 +26,7 @@ class Flight:
     fail_s: float = 12.0
     lost: dict[int, float] = field(default_factory=dict)
     noise_rad_s: float = 0.002
+    turns_rad: float = 0.0  # to both sides, every five seconds
 
     def rows(self, rng: np.random.Generator) -> list[Row]:
         """It holds its attitude by a rate loop, is shaken by torques that its mixer asks for, and lands nowhere."""
@@ -37,7 +38,8 @@ class Flight:
         rows: list[Row] = []
         for k in range(round(self.seconds * RATE_HZ)):
             wanted += (3.0 * rng.standard_normal(3) - wanted) * 0.2
-            turn = wanted * [4.0, 4.0, 1.0] - 8.0 * rate - 16.0 * angle
+            goal = np.array([0.0, 0.0, self.turns_rad * np.sin(2.0 * np.pi * 0.2 * k * dt_s)])
+            turn = wanted * [4.0, 4.0, 1.0] - 8.0 * rate - 16.0 * (angle - goal)
             asked = np.clip(model.hover + mixer[:, 1:] @ turn, 0.0, 1.0)
             lagged = lagged + (asked - lagged) * (1.0 - np.exp(-dt_s / max(model.motor.time_constant_up_s, 1e-6)))
             given = lagged.copy()

@@ -29,7 +29,7 @@ IMPURE = {
 # The rooms of the package from the ground up: each may use those before it.
 FLOORS = (
     {"errors"},
-    {"core", "mavlink"},
+    {"core", "mavlink", "state_file"},
     {"condition", "frames", "calibration"},
     {"allocation"},
     {"control"},

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from flown_logs import RATE_HZ, Flight, log_flight
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from nff_companion.autopilots.ardupilot import checks
 from nff_companion.autopilots.px4 import outputs
-from nff_companion.calibration import airframe, chain, excitation, fit, model, order
+from nff_companion.calibration import air, airframe, chain, excitation, fit, model, order
 from nff_companion.calibration.record import Record, record
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.airframe_file import AirframeFile
@@ -127,14 +128,76 @@ def test_the_derivatives_are_those_of_what_is_foretold(rng: np.random.Generator)
     x = model.start(layout, 0.05, 0.5, 0.1) + 0.02 * rng.standard_normal(layout.parameters)
     thrust = 1.0 + 0.1 * rng.standard_normal((1, 40, layout.motors))
     relative = np.concatenate([thrust] * (1 + len(free)))
-    _, slopes = model.foretold(x, layout, relative, free)
+    _, slopes = model.foretold(x, layout, relative, free, 0.005)
     for k in range(model.SHAPE, layout.parameters):
         ends: list[NDArray[np.float64]] = []
         for step in (-1e-6, 1e-6):
             moved = x.copy()
             moved[k] += step
-            ends.append(model.foretold(moved, layout, relative, free)[0])
+            ends.append(model.foretold(moved, layout, relative, free, 0.005)[0])
         np.testing.assert_allclose(slopes[:, :, k], (ends[1] - ends[0]) / 2e-6, atol=1e-6)
+
+
+def blown(flight: Record, vehicle: Vehicle, rng: np.random.Generator, lead_s: float, share: float) -> Record:
+    """The flight with what the motors do to yaw beside their drag: each turns the vehicle as it gathers speed, ahead of
+    its drag by ``lead_s``; and it drags sideways, each by its speed, ``share`` of the lateral specific force."""
+    pieces = []
+    for piece in flight.pieces:
+        share_of_lag = 1.0 - np.exp(-piece.dt_s / vehicle.motor.time_constant_up_s)
+        asked = vehicle.thrust_fraction(piece.output)
+        thrust = lfilter([share_of_lag], [1.0, share_of_lag - 1.0], asked - asked[0], axis=0) + asked[0]
+        ahead = 0.5 * (thrust + np.concatenate([thrust[1:], thrust[-1:]]))  # at the sample; ``thrust``: until then
+        side = np.cumsum(rng.standard_normal((piece.samples, 2)), axis=0) * 0.05
+        speed = np.sqrt(thrust)
+        x, y = (speed @ vehicle.position_m / speed.sum(axis=1, keepdims=True)).T
+        dragged = share * vehicle.mass_kg / vehicle.inertia_kg_m2[2] * (x * side[:, 1] - y * side[:, 0])
+        gyro, force = piece.gyro_rad_s.copy(), piece.specific_force_m_s2.copy()
+        gyro[:, 2] += lead_s * ahead @ vehicle.acceleration_effectiveness[model.YAW] + np.cumsum(dragged) * piece.dt_s
+        force[:, :2] += side
+        pieces.append(replace(piece, gyro_rad_s=gyro, specific_force_m_s2=force))
+    return Record(pieces)
+
+
+def test_yaw_is_found_beside_what_else_the_rotors_do_to_it(rng: np.random.Generator) -> None:
+    vehicle = changed(OCTO, *UNFILTERED)
+    flight = flown(vehicle, rng, 15.0)
+    still = fitted(flight, vehicle)
+    found = fitted(blown(flight, vehicle, rng, 0.045, 1.0), vehicle)
+    yaw = model.SHAPE + model.YAW
+    assert found.x[yaw] == pytest.approx(still.x[yaw], abs=0.02)
+    assert found.deviation[yaw] < 2.0 * still.deviation[yaw]
+    assert found.x[model.LEAD] == pytest.approx(0.045, abs=0.01)
+
+
+def test_what_rotors_of_uneven_speed_drag_sideways_is_taken_off_yaw(rng: np.random.Generator) -> None:
+    vehicle = changed(OCTO, *UNFILTERED)
+    flight, shape = flown(vehicle, rng, 15.0), chain.Motors(0.0, 0.045, 0.045, 0.65, 0.15, 0.95)
+    still, moved = (r.pieces[0] for r in (flight, blown(flight, vehicle, rng, 0.0, 1.0)))
+    values, before = (chain.measured(piece, FILTERS, inertia(vehicle)) for piece in (moved, still))
+    turned = values[:, model.YAW] - before[:, model.YAW]
+    thrust = chain.shown(moved, [shape], FILTERS)[0]
+    rest = air.taken_off(turned, air.columns(values, thrust, model.Layout.of(vehicle))[model.YAW])
+    assert rest.var() < 0.05 * turned.var()
+
+
+def test_noise_is_learnt_without_what_the_air_does(rng: np.random.Generator) -> None:
+    """With it still in, slow motion counts for little, of which yaw has most: its errors were four times as large."""
+    vehicle = changed(OCTO, *UNFILTERED)
+    layout = model.Layout.of(vehicle)
+    piece = flown(vehicle, rng, 15.0).pieces[0]
+    side = np.cumsum(rng.standard_normal(piece.samples)) * 0.05
+    force, gyro = piece.specific_force_m_s2.copy(), piece.gyro_rad_s.copy()
+    force[:, 1] += side
+    gyro[:, 2] += np.cumsum(2.0 * side) * piece.dt_s  # it turns into the wind
+    x = model.start(layout, 0.045, 0.65, 0.15)
+    slow: list[float] = []
+    for each in (piece, replace(piece, gyro_rad_s=gyro, specific_force_m_s2=force)):
+        deviations = model.Prior().deviations(layout.motors)
+        problem = fit.Problem(Record([each]), layout, FILTERS, inertia(vehicle), x, deviations)
+        x = x if slow else problem.suggested(x)
+        problem.colour(x)
+        slow.append(float(problem._whitening[model.YAW].sum()))  # of the slowest motion, what counts
+    assert slow[1] > 0.7 * slow[0]
 
 
 def with_turning(layout: model.Layout, rows: NDArray[np.float64]) -> model.Layout:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from log_files import write_tlog
 
 from nff_companion.errors import NotJudged
-from nff_companion.replay import ardupilot
+from nff_companion.mavlink.codec import Codec, dialect
+from nff_companion.mavlink.services.parameter_reader import encode
+from nff_companion.replay import ardupilot, tlog
 from nff_companion.replay.parameters import Parameters
 
 
@@ -36,3 +41,20 @@ def test_outputs_of_some_motors_alone_are_no_order() -> None:
         ardupilot.channels(some, 8, 16)
     in_order = {f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 5)}
     assert ardupilot.channels(in_order, 8, 16) is None
+
+
+@pytest.mark.parametrize("first", ["heartbeat", "parameter"])
+def test_a_telemetry_log_may_begin_before_the_heartbeat_that_says_how_integers_are_written(
+    tmp_path: Path, first: str
+) -> None:
+    codec, kind = Codec(1, 1), dialect.MAV_PARAM_TYPE_INT32
+    count = encode(6.0, kind, bytewise=True)
+    messages = [
+        dialect.MAVLink_heartbeat_message(13, dialect.MAV_AUTOPILOT_PX4, 0, 0, 4, 3),
+        dialect.MAVLink_param_value_message(b"CA_ROTOR_COUNT", count, kind, 1, 0),
+    ]
+    if first == "parameter":
+        messages.reverse()
+    rows = [(1000.0 + k, codec.pack(message)) for k, message in enumerate(messages)]
+    (flight,) = tlog.flights(write_tlog(tmp_path / "flight.tlog", rows))
+    assert flight.parameters.at(2000.0) == {"CA_ROTOR_COUNT": 6.0}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 from fake_px4 import FakePx4, octo, without
+from unlike_rotors import having, loaded
 
 from nff_companion.autopilots.px4 import allocator
 from nff_companion.autopilots.px4.remedy import Advisor, NoRemedy, Remedy, geometry_of
@@ -52,6 +54,19 @@ def test_a_hexarotor_is_told_together_with_its_yaw() -> None:
     for motor in range(1, 7):
         remedy = advisor.remedy(without(model, (motor,)))
         assert isinstance(remedy, Remedy)
+        assert remedy.yaw_released
+
+
+def test_what_the_autopilot_trims_out_all_the_time_is_no_torque_left_over(tmp_path: Path) -> None:
+    """A calibrated hexarotor: centre of mass beside the middle, rotors not quite alike."""
+    text = vehicle.path_of("hexa-x").read_text(encoding="utf-8")
+    unlike = [f"thrust = {share}" for share in (1.12, 1.12, 0.94, 0.92, 0.95, 0.95)]
+    head = ["centre_of_mass_m = [-0.003, 0.003, 0.0]"]
+    model = loaded(tmp_path, having(unlike, head=head, text=text), thrust_to_weight=2.56)
+    advisor = Advisor(model, geometry(vehicle.load("hexa-x")))
+    for motor in range(1, 7):
+        remedy = advisor.remedy(without(model, (motor,)))
+        assert isinstance(remedy, Remedy), remedy
         assert remedy.yaw_released
 
 

@@ -55,6 +55,7 @@ class Px4Adapter:
         self._injection = Injection(vehicle.motors, target) if method == "inject" else None
         self._telling = Telling(self._change, self._record)
         self._identity = Identity(target)
+        self._waiting = rates.Waiting()
         self._examined: Examined | None = None
         self._trouble: Statement | None = None  # what the examination found instead
         self._outdated = False  # somebody else has changed the vehicle since
@@ -67,8 +68,12 @@ class Px4Adapter:
     # -- telemetry ----------------------------------------------------------------------------------------------
 
     def streams(self, rate_hz: float) -> list[Stream]:
-        """Messages to ask for, at rates that PX4 honours: beyond 125 Hz that is 250 Hz."""
-        return rates.streams(rate_hz)
+        """Messages to ask for, at rates that PX4 honours: beyond 125 Hz that is 250 Hz, or what its samples come at."""
+        return rates.streams(rate_hz, self._integration_hz)
+
+    @property
+    def _integration_hz(self) -> float | None:
+        return self._reader.values.get(rates.INTEGRATION)
 
     def observe(self, message: Message, now_s: float) -> Sample | None:
         """Telemetry, parameters, version, acknowledgements; of the target alone."""
@@ -88,7 +93,8 @@ class Px4Adapter:
         else:
             if kind == "HEARTBEAT":
                 self._heartbeat(bool(message.base_mode & _ARMED))
-            return self._decoder.observe(message)
+            sample = self._decoder.observe(message)
+            return None if sample is None or not self._waiting.over(self._reader, now_s) else sample
         self._condition = None
         return None
 

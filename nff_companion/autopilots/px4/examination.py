@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nff_companion.autopilots.px4 import outputs
+from nff_companion.autopilots.px4 import outputs, rates
 from nff_companion.autopilots.px4.injection import INJECTION_NEEDS
 from nff_companion.autopilots.px4.journal import Entry
 from nff_companion.autopilots.px4.parameter_change import names_of
@@ -28,10 +28,10 @@ class Examined:
 
 
 def names(vehicle: Vehicle) -> list[str]:
-    """Parameters that are looked at."""
+    """Parameters that are looked at; samples wait for the first."""
     rotors = [f"CA_ROTOR{i}_{suffix}" for i in range(vehicle.motors) for suffix in _SUFFIXES]
     others = ["CA_ROTOR_COUNT", "CA_METHOD", "MC_AIRMODE", "THR_MDL_FAC", *INJECTION_NEEDS]
-    return [*rotors, *others, *outputs.names(vehicle)]
+    return [rates.INTEGRATION, *rotors, *others, *outputs.names(vehicle)]
 
 
 def examine(

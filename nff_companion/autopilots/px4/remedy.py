@@ -31,7 +31,7 @@ class Prediction:
 
     collective: float | None  # thrust setpoint at hover, None: it cannot hover
     thrust_ratio: float  # largest thrust over weight
-    bias: NDArray[np.float64]  # (3,) torque left over at hover
+    bias: NDArray[np.float64]  # (3,) torque left over at hover, with what the healthy vehicle's integrators hold
     response: NDArray[np.float64]  # (3,) least over both directions
     cross: float
 
@@ -75,10 +75,15 @@ class Advisor:
 
     def __init__(self, vehicle: Vehicle, geometry: Geometry) -> None:
         self._vehicle, self._geometry = vehicle, geometry
+        # Demand (3,) that the autopilot's integrators hold in a healthy hover: rotors unlike, mass beside the middle.
+        self._trim = np.zeros(3)
         ones = np.ones(vehicle.motors)
         mix = allocator.mix_matrix(geometry)
         found = self._hover(geometry, mix, ones)
-        self._healthy = None if found[0] is None else self._responses(geometry, mix, ones, found[0])
+        self._healthy = None
+        if found[0] is not None:
+            self._trim = self._trimmed(geometry, mix, ones, found[0])
+            self._healthy = self._responses(geometry, mix, ones, found[0])
 
     def _wrench(
         self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64], demand: NDArray[np.float64]
@@ -86,12 +91,24 @@ class Advisor:
         """(4,) thrust, roll, pitch, yaw in normalised units of what the motors really give."""
         return self._vehicle.effectiveness @ (true * allocator.allocate(mix, demand, geometry))
 
+    def _trimmed(
+        self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64], collective: float
+    ) -> NDArray[np.float64]:
+        """(3,) torque demand without which a torque would be left over."""
+        left = self._wrench(geometry, mix, true, self._demand(collective))[1:]
+        gain = self._responses(geometry, mix, true, collective).mean(axis=1).T / _STEP
+        return np.asarray(-np.linalg.pinv(gain, rcond=1e-6) @ left)
+
+    def _demand(self, collective: float) -> NDArray[np.float64]:
+        """(6,) at hover."""
+        return np.array([*self._trim, 0.0, 0.0, -collective])
+
     def _hover(
         self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64]
     ) -> tuple[float | None, float]:
         """Least collective that carries the weight, and the largest thrust over weight."""
         collectives = np.linspace(0.0, 1.0, 51)
-        thrust = np.array([self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -c]))[0] for c in collectives])
+        thrust = np.array([self._wrench(geometry, mix, true, self._demand(c))[0] for c in collectives])
         enough = np.flatnonzero(thrust >= self._vehicle.hover)
         largest = float(thrust.max()) / self._vehicle.hover
         return (float(collectives[enough[0]]) if enough.size else None), largest
@@ -100,13 +117,13 @@ class Advisor:
         self, geometry: Geometry, mix: NDArray[np.float64], true: NDArray[np.float64], collective: float
     ) -> NDArray[np.float64]:
         """(3, 2, 3) change of torque to a demand on each axis in both directions."""
-        base = np.array([0, 0, 0, 0, 0, -collective], float)
+        base = self._demand(collective)
         at_rest = self._wrench(geometry, mix, true, base)
         out = np.zeros((3, 2, 3))
         for axis in range(3):
             for k, sign in enumerate((1.0, -1.0)):
                 demand = base.copy()
-                demand[axis] = sign * _STEP
+                demand[axis] += sign * _STEP
                 out[axis, k] = sign * (self._wrench(geometry, mix, true, demand) - at_rest)[1:]
         return out
 
@@ -117,7 +134,7 @@ class Advisor:
         collective, ratio = self._hover(geometry, mix, true)
         if collective is None or self._healthy is None:
             return Prediction(collective, ratio, np.zeros(3), np.zeros(3), np.inf)
-        bias = self._wrench(geometry, mix, true, np.array([0, 0, 0, 0, 0, -collective]))[1:]
+        bias = self._wrench(geometry, mix, true, self._demand(collective))[1:]
         now = self._responses(geometry, mix, true, collective)
         healthy = np.array([self._healthy[i, :, i].mean() for i in range(3)])
         response = np.array([now[i, :, i].min() / healthy[i] if healthy[i] else 1.0 for i in range(3)])

@@ -28,6 +28,7 @@ from nff_companion.core.tuning.estimation import (
     SparseTuning,
 )
 from nff_companion.core.tuning.fit import FitTuning
+from nff_companion.core.tuning.proposal import ProposalTuning
 from nff_companion.core.tuning.relations import check_relations
 from nff_companion.core.tuning.span import check_fields
 
@@ -45,6 +46,7 @@ __all__ = [
     "OnsetTuning",
     "OverrideTuning",
     "PlannerTuning",
+    "ProposalTuning",
     "ResidualTuning",
     "RotorSpeedTuning",
     "SampleRateTuning",
@@ -69,6 +71,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     sample_rate: SampleRateTuning = SampleRateTuning()
     flight_phase: FlightPhaseTuning = FlightPhaseTuning()
     fit: FitTuning = FitTuning()
+    proposal: ProposalTuning = ProposalTuning()
     planner: PlannerTuning = PlannerTuning()
     override: OverrideTuning = OverrideTuning()
     law: LawTuning = LawTuning()

@@ -32,6 +32,9 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     mixer_error: Annotated[
         float, span(0.01, 1.0, "", "of a motor's share: firmwares round, and frames are not quite regular")
     ] = 0.15
+    word_s: Annotated[
+        float, span(3.0, 60.0, "s", "of flight after which the pilot hears why the file is neither confirmed nor wrong")
+    ] = 9.0
     order_margin: Annotated[
         float, span(5.0, 500.0, "", "chi squared by which one order must be likelier: measured 30 to 130 after a turn")
     ] = 20.0

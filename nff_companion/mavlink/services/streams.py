@@ -17,11 +17,15 @@ _OPTIONAL_TRIES = 5
 
 @dataclass(frozen=True)
 class Stream:
-    """A message that the companion asks for, and how often; ``required``: flying without it is said to the pilot."""
+    """A message that the companion asks for, and how often; ``required``: flying without it is said to the pilot.
+
+    ``asked_hz``: where more must be asked for than ``rate_hz`` is to come; 0: the same.
+    """
 
     message_id: int
     rate_hz: float
     required: bool = True
+    asked_hz: float = 0.0
 
 
 def _enough_hz(stream: Stream) -> float:
@@ -103,7 +107,7 @@ def interval(stream: Stream, target: tuple[int, int]) -> Message:
         dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
         0,
         float(stream.message_id),
-        1e6 / stream.rate_hz,
+        1e6 / (stream.asked_hz or stream.rate_hz),
         0.0,
         0.0,
         0.0,
