@@ -53,6 +53,7 @@ class TrialOptions:
     parts: Parts = FLOWN
     confirmed: bool = True  # the airframe file is the plant's own
     airframe: str = ""  # of this companion; empty: the flight's
+    alter: Alter | None = None  # the hand of a test on this companion's samples, in place of the flight's
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,7 @@ class VirtualFlight:
                 instance=index + 1,
                 plans=None if workshop is None else workshop.plans,
             )
-            meeting.alter = alter
+            meeting.alter = options.alter or alter
             named = options.network
             if named == "airframe" and not options.airframe:
                 named = model.network or "none"  # by its name: also where the trial has changed the thrust

@@ -26,6 +26,7 @@ from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 RATE = 200.0
+OTHERS = ["ramp", "stuck", "intermittent"]
 
 
 def flight(
@@ -37,12 +38,16 @@ def flight(
     seed: int = 1,
     error: float = 0.05,
     alter: Callable[[Sample], Sample] | None = None,
+    vehicles: int = 1,
 ) -> VirtualFlight:
+    """With so many ``vehicles`` that fly alike but for their ``faults``."""
     nominal = plant_airframe.load(vehicle.path_of(name))
-    options = FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=wind, turbulence_m_s=0.25 * wind, model_error=error)
+    options = FleetOptions(
+        seeds=[seed] * vehicles, height_m=10.0, wind_m_s=wind, turbulence_m_s=0.25 * wind, model_error=error
+    )
     return VirtualFlight(
         Fleet(nominal, options, faults),
-        {0: TrialOptions(mode=mode)},
+        {vehicle: TrialOptions(mode=mode) for vehicle in range(vehicles)},
         airframe=name,
         thrust_to_weight=None,
         rate_hz=RATE,
@@ -140,12 +145,29 @@ def test_on_the_ground_nothing_is_estimated(recorded: list[Sample]) -> None:
     assert not any(o.flying for o in outputs)
 
 
-def test_a_declaration_latches_while_the_motor_stands_still_and_the_operator_lifts_it() -> None:
-    trial = flight("octo-x", [Fault(vehicle=0, motor=4, start_s=4.0)])
-    assert fly(trial, 8.0).failed.tolist() == [False] * 3 + [True] + [False] * 4
-    assert trial.fleet.autopilot.output[0, 3] == 0.0, "the declared motor is stopped"
-    trial.companions[0].order(Orders(lift=(4,)))
-    assert not trial.companions[0].output.failed.any()
+@pytest.fixture(scope="module")
+def faulty() -> VirtualFlight:
+    """8 s with one fault each: total, partial, ramp, stuck, intermittent."""
+    faults = [
+        Fault(vehicle=0, motor=4, start_s=4.0),
+        Fault(vehicle=1, motor=2, start_s=4.0, kind="partial", effectiveness=0.55),
+        *(
+            Fault(vehicle=k, motor=6, start_s=4.0, kind=kind, effectiveness=0.0, duration_s=1.5)
+            for k, kind in enumerate(OTHERS, start=2)
+        ),
+    ]
+    trial = flight("octo-x", faults, vehicles=len(faults))
+    fly(trial, 8.0)
+    return trial
+
+
+def test_a_declaration_latches_while_the_motor_stands_still_and_the_operator_lifts_it(faulty: VirtualFlight) -> None:
+    companion = faulty.companions[0]
+    assert companion.output.failed.tolist() == [False] * 3 + [True] + [False] * 4
+    assert faulty.fleet.autopilot.output[0, 3] == 0.0, "the declared motor is stopped"
+    companion.order(Orders(lift=(4,)))
+    assert not companion.output.failed.any()
+    companion.order(Orders(adopt=(4,)))  # as it was
 
 
 def test_a_wrong_declaration_is_lifted_by_evidence_while_the_motor_is_driven() -> None:
@@ -157,36 +179,36 @@ def test_a_wrong_declaration_is_lifted_by_evidence_while_the_motor_is_driven() -
     assert [(e.motor, e.declared) for _, e in trial.companions[0].events] == [(2, False)]
 
 
-def test_a_motor_that_fails_partly_is_allocated_around_without_a_declaration() -> None:
-    trial = flight("octo-x", [Fault(vehicle=0, motor=2, start_s=4.0, kind="partial", effectiveness=0.55)])
-    output = fly(trial, 8.0)
+def test_a_motor_that_fails_partly_is_allocated_around_without_a_declaration(faulty: VirtualFlight) -> None:
+    output = faulty.companions[1].output
     assert not output.failed.any()
     assert output.degraded.tolist() == [False, True] + [False] * 6
     assert output.effectiveness[1] == pytest.approx(0.55, abs=0.12)
     assert output.plan is not None
 
 
-@pytest.mark.parametrize("kind", ["ramp", "stuck", "intermittent"])
-def test_other_faults_name_no_healthy_motor(kind: str) -> None:
-    trial = flight("octo-x", [Fault(vehicle=0, motor=6, start_s=4.0, kind=kind, effectiveness=0.0, duration_s=1.5)])
-    fly(trial, 10.0)
-    named = {e.motor for _, e in trial.companions[0].events if e.declared}
+@pytest.mark.parametrize("kind", OTHERS)
+def test_other_faults_name_no_healthy_motor(faulty: VirtualFlight, kind: str) -> None:
+    vehicle = 2 + OTHERS.index(kind)
+    named = {e.motor for _, e in faulty.companions[vehicle].events if e.declared}
     assert named <= {6}
     if kind != "stuck":
         assert named == {6}
-    assert not trial.fleet.state.crashed[0]
+    assert not faulty.fleet.state.crashed[vehicle]
 
 
 @pytest.mark.parametrize("name", ["hexa-x", "octo-plus", "coax-x8", "paper-octo"])
 def test_other_airframes_go_through_the_whole_companion(name: str) -> None:
     motors = vehicle.load(name).motors
-    for motor in (1, motors):
-        trial = flight(name, [Fault(vehicle=0, motor=motor, start_s=4.0)], wind=2.0)
-        output = fly(trial, 8.0)
-        assert [int(i) + 1 for i in np.flatnonzero(output.failed)] == [motor]
+    faults = [Fault(vehicle=k, motor=motor, start_s=4.0) for k, motor in enumerate((1, motors))]
+    trial = flight(name, faults, wind=2.0, vehicles=2)
+    fly(trial, 7.0)
+    for fault, companion in zip(faults, trial.companions, strict=True):
+        output = companion.output
+        assert [int(i) + 1 for i in np.flatnonzero(output.failed)] == [fault.motor]
         assert output.plan is not None
         assert output.plan.matrix.shape == (motors, 4)
-        assert not trial.fleet.state.crashed[0]
+    assert not trial.fleet.state.crashed.any()
 
 
 def test_a_flight_in_override_survives_a_failure_and_never_falls_back() -> None:

@@ -18,7 +18,9 @@ from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import AdaptationTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
+from sitl import airframe
 from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.demo import DemoOptions, make_fleet
 from sitl.trials.paper import figures
 from sitl.trials.paper.figures import AXES, document
@@ -28,30 +30,32 @@ from sitl.trials.research.laws import LAWS
 from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_each_law_flies_a_lost_motor_in_hover(law: str) -> None:
-    fleet = make_fleet(DemoOptions(failures=[], wind_m_s=2.0))
-    fleet.faults.add(Fault(vehicle=0, motor=3, start_s=3.0))
-    flight = VirtualFlight(
-        fleet,
-        {0: TrialOptions(mode=Mode.OVERRIDE, parts=LAWS[law])},
-        airframe="octo-x",
-        thrust_to_weight=None,
-        rate_hz=200.0,
-        link_delay_s=0.01,
-    )
-    companion = flight.companions[0]
+@pytest.fixture(scope="module")
+def flown() -> VirtualFlight:
+    """All laws, each with a vehicle of its own that flies as the others do; motor 3 is lost at 3 s."""
+    nominal = airframe.load(vehicle.path_of("octo-x"))
+    options = FleetOptions(seeds=[1] * len(LAWS), wind_m_s=2.0, turbulence_m_s=0.5, height_m=10.0)
+    fleet = Fleet(nominal, options, [Fault(vehicle=k, motor=3, start_s=3.0) for k in range(len(LAWS))])
+    trials = {k: TrialOptions(mode=Mode.OVERRIDE, parts=parts) for k, parts in enumerate(LAWS.values())}
+    flight = VirtualFlight(fleet, trials, airframe="octo-x", thrust_to_weight=None, rate_hz=200.0, link_delay_s=0.01)
     while fleet.time_s < 7.0:
         flight.step()
-        if law == "omniscient" and fleet.time_s == 3.0:
-            companion.order(Orders(adopt=(3,)))
-    assert not fleet.state.crashed[0]
+        if fleet.time_s == 3.0:
+            flight.companions[list(LAWS).index("omniscient")].order(Orders(adopt=(3,)))
+    return flight
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_each_law_flies_a_lost_motor_in_hover(flown: VirtualFlight, law: str) -> None:
+    index = list(LAWS).index(law)
+    companion = flown.companions[index]
+    assert not flown.fleet.state.crashed[index]
     output = companion.output
     assert output.mode == Mode.OVERRIDE
     knows = law in ("eff", "nff", "omniscient")
     assert bool(output.failed[2]) == knows
     assert (output.plan is not None) == knows
-    assert [e.motor for _, e in flight.companions[0].events] == ([3] if LAWS[law].identify else [])
+    assert [e.motor for _, e in companion.events] == ([3] if LAWS[law].identify else [])
     learns = LAWS[law].learn
     assert companion.session.state.knowledge.residual.any() == learns
 

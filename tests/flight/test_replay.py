@@ -83,8 +83,9 @@ class TestStockArduCopter:
         return [(f["motor"], f["time_s"] + offset, f["effectiveness"]) for f in result["faults"]]
 
     def test_single_failures(self) -> None:
+        """Of three motors; all eight, without an airframe file: test_why.py."""
         delays = []
-        for motor in range(1, 9):
+        for motor in (2, 5, 8):
             found = self.faults(f"motor{motor}.tlog")
             assert [f[0] for f in found] == [motor]
             delays.append(found[0][1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,41 +24,13 @@ FAIL_S = 4.0
 STOPPED_SHARE = 0.35
 
 
-def flight(
-    failed: list[int], alter: Callable[[Sample], Sample], seed: int = 1, end_s: float = FAIL_S + 1.5
-) -> tuple[dict[int, float], dict[int, float], Session]:
+@dataclass
+class Flown:
     """Declared motors and when; when the telemetry first showed each stopped."""
-    fleet = Fleet(
-        airframe.load(vehicle.path_of("octo-x")),
-        FleetOptions(seeds=[seed], height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.75, model_error=0.1),
-        [Fault(vehicle=0, motor=motor, start_s=FAIL_S) for motor in failed],
-    )
-    shown: dict[int, float] = {}
 
-    def watch(sample: Sample) -> Sample:
-        out = alter(sample)
-        assert sample.rotor_speed_rad_s is not None
-        for motor in failed:
-            if sample.time_s > FAIL_S and sample.rotor_speed_rad_s[motor - 1] < STOPPED_SHARE * 450:
-                shown.setdefault(motor, sample.time_s)
-        return out
-
-    virtual = VirtualFlight(
-        fleet,
-        {0: TrialOptions()},
-        airframe="octo-x",
-        thrust_to_weight=None,
-        rate_hz=200.0,
-        link_delay_s=0.0,
-        rotor_speeds=True,
-        alter=watch,
-    )
-    while fleet.time_s < end_s and not fleet.state.crashed[0]:
-        virtual.step()
-    companion = virtual.companions[0]
-    assert not fleet.state.crashed[0]
-    events = {event.motor: time_s for time_s, event in companion.events if event.declared}
-    return events, shown, companion.session
+    declared: dict[int, float]
+    shown: dict[int, float]
+    session: Session
 
 
 def honest(sample: Sample) -> Sample:
@@ -98,31 +70,78 @@ def one_dead_sensor(sample: Sample) -> Sample:
     return replace(sample, rotor_speed_rad_s=speed)
 
 
-@pytest.mark.parametrize("failed", [[1, 2], [1, 4], [2, 5], [7, 8], [3]])
-def test_a_stopped_motor_is_declared_at_once(failed: list[int]) -> None:
-    events, shown, _ = flight(failed, honest)
-    assert sorted(events) == failed
-    for motor in failed:
-        delay = events[motor] - shown[motor]
+LIES = [zero_filled, zero_from_now, frozen, stale, swapped, one_dead_sensor]
+STOPPED = [(1, 2), (1, 4), (2, 5), (7, 8), (3,)]
+CASES = [*((motors, honest) for motors in STOPPED), *(((), lie) for lie in LIES), *(((3,), lie) for lie in LIES)]
+Case = tuple[tuple[int, ...], Callable[[Sample], Sample]]
+
+
+def watching(case: Case, shown: dict[int, float]) -> Callable[[Sample], Sample]:
+    motors, alter = case
+
+    def watch(sample: Sample) -> Sample:
+        out = alter(sample)
+        assert sample.rotor_speed_rad_s is not None
+        for motor in motors:
+            if sample.time_s > FAIL_S and sample.rotor_speed_rad_s[motor - 1] < STOPPED_SHARE * 450:
+                shown.setdefault(motor, sample.time_s)
+        return out
+
+    return watch
+
+
+@pytest.fixture(scope="module")
+def flown() -> dict[Case, Flown]:
+    """All cases, in one fleet of vehicles that fly alike."""
+    fleet = Fleet(
+        airframe.load(vehicle.path_of("octo-x")),
+        FleetOptions(seeds=[1] * len(CASES), height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.75, model_error=0.1),
+        [Fault(vehicle=k, motor=motor, start_s=FAIL_S) for k, (motors, _) in enumerate(CASES) for motor in motors],
+    )
+    shown: list[dict[int, float]] = [{} for _ in CASES]
+    virtual = VirtualFlight(
+        fleet,
+        {k: TrialOptions(alter=watching(case, shown[k])) for k, case in enumerate(CASES)},
+        airframe="octo-x",
+        thrust_to_weight=None,
+        rate_hz=200.0,
+        link_delay_s=0.0,
+        rotor_speeds=True,
+    )
+    while fleet.time_s < FAIL_S + 2.0:
+        virtual.step()
+    assert not fleet.state.crashed.any()
+    out: dict[Case, Flown] = {}
+    for case, companion, seen in zip(CASES, virtual.companions, shown, strict=True):
+        declared = {event.motor: time_s for time_s, event in companion.events if event.declared}
+        out[case] = Flown(declared, seen, companion.session)
+    return out
+
+
+@pytest.mark.parametrize("motors", STOPPED)
+def test_a_stopped_motor_is_declared_at_once(flown: dict[Case, Flown], motors: tuple[int, ...]) -> None:
+    found = flown[motors, honest]
+    assert tuple(sorted(found.declared)) == motors
+    for motor in motors:
+        delay = found.declared[motor] - found.shown[motor]
         print(f"motor {motor}: {1e3 * delay:.0f} ms after the telemetry showed it")
         assert delay <= 0.050 + 1e-9
 
 
-@pytest.mark.parametrize("lie", [zero_filled, zero_from_now, frozen, stale, swapped, one_dead_sensor])
-def test_telemetry_that_lies_declares_nothing(lie: Callable[[Sample], Sample]) -> None:
-    events, _, _ = flight([], lie, end_s=FAIL_S + 2.0)
-    assert events == {}
+@pytest.mark.parametrize("lie", LIES)
+def test_telemetry_that_lies_declares_nothing(flown: dict[Case, Flown], lie: Callable[[Sample], Sample]) -> None:
+    assert flown[(), lie].declared == {}
 
 
-@pytest.mark.parametrize("lie", [zero_filled, zero_from_now, frozen, stale, swapped, one_dead_sensor])
-def test_telemetry_that_lies_hides_nothing(lie: Callable[[Sample], Sample]) -> None:
-    events, _, _ = flight([3], lie)
-    assert sorted(events) == [3]
-    assert events[3] - FAIL_S < 0.1
+@pytest.mark.parametrize("lie", LIES)
+def test_telemetry_that_lies_hides_nothing(flown: dict[Case, Flown], lie: Callable[[Sample], Sample]) -> None:
+    declared = flown[(3,), lie].declared
+    assert list(declared) == [3]
+    assert declared[3] - FAIL_S < 0.1
 
 
-def test_a_dead_speed_sensor_is_called_one() -> None:
-    _, _, session = flight([], one_dead_sensor, end_s=FAIL_S + 1.0)
+def test_a_dead_speed_sensor_is_called_one(flown: dict[Case, Flown]) -> None:
+    session = flown[(), one_dead_sensor].session
     assert session.companion.speed_faults(session.state) == [5]
 
 
