@@ -14,7 +14,6 @@ import pytest
 from fake_px4 import FakePx4, in_flight, octo, on_ground, talk, tell, without
 
 from nff_companion.autopilots.base import Finding, Permit
-from nff_companion.autopilots.px4 import journal as journal_module
 from nff_companion.autopilots.px4.adapter import Px4Adapter
 from nff_companion.autopilots.px4.journal import Entry, Journal
 from nff_companion.condition import Reason
@@ -91,9 +90,17 @@ def test_a_link_that_takes_the_files_place_after_a_look_is_not_followed(
     journal, precious = Journal(tmp_path / "journal"), tmp_path / "precious"
     Journal(precious).write("a", CT0)
     kept = precious.read_bytes()
-    for name in ("journal", "journal.new", "journal.probe"):
-        (tmp_path / name).symlink_to(precious)
-    monkeypatch.setattr(journal_module, "_look", lambda path: path == journal.path)  # what was seen a moment ago
+    links = [tmp_path / name for name in ("journal", "journal.new", "journal.probe")]
+    for link in links:
+        link.symlink_to(precious)
+    seen = os.stat
+
+    def a_moment_ago(path: Any, **options: Any) -> os.stat_result:
+        if path in links[1:]:
+            raise FileNotFoundError(path)
+        return seen(precious if path == links[0] else path, **options)
+
+    monkeypatch.setattr(os, "stat", a_moment_ago)
     with pytest.raises(JournalError, match="cannot be read"):
         journal.read("a")
     with pytest.raises(JournalError, match="cannot be written"):
