@@ -36,11 +36,12 @@ def verdicts(fit: Fit) -> list[Verdict]:
     """Of everything that the companion relies on."""
     d, layout = fit.deviation, fit.layout
     lag_ms = 1e3 * float(np.exp(fit.x[model.LAG]))
-    gains, centre = d[model.gains_of(layout)], d[model.centre_of(layout)]
+    roll, pitch, yaw = (100.0 * fit.command_deviation).tolist()
+    centre = d[model.centre_of(layout)]
     return [
-        Verdict("acceleration per roll command", 100.0 * gains[model.ROLL], 10.0, "%", _ROLL),
-        Verdict("acceleration per pitch command", 100.0 * gains[model.PITCH], 10.0, "%", _PITCH),
-        Verdict("acceleration per yaw command", 100.0 * gains[model.YAW], 20.0, "%", _YAW),
+        Verdict("acceleration per roll command", roll, 10.0, "%", _ROLL),
+        Verdict("acceleration per pitch command", pitch, 10.0, "%", _PITCH),
+        Verdict("acceleration per yaw command", yaw, 20.0, "%", _YAW),
         Verdict("motor lag", lag_ms * d[model.LAG], 10.0, "ms", _ROLL),
         Verdict("delay of the outputs", 1e3 * d[model.DELAY], 5.0, "ms", _ROLL),
         Verdict("thrust curve", d[model.EXPO], 0.15, "", _CLIMB),

@@ -45,6 +45,14 @@ class Fit:
         """(parameters,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def command_deviation(self) -> NDArray[np.float64]:
+        """(3,) of the logarithms of roll, pitch and yaw acceleration per change of the outputs: a gain, and the curve's
+        steepness."""
+        _, steeper = model.steepness(self.x, self.layout, self.mean_output)
+        change = np.eye(len(self.x))[[model.SHAPE + axis for axis in _TURNING]] + steeper
+        return np.sqrt(np.diag(change @ self.covariance @ change.T))
+
 
 class Problem:
     """A record, and what a vector of parameters leaves of it."""
@@ -253,7 +261,10 @@ def fit(
     scaled = jacobian * deviations[free]
     root = solve_triangular(np.asarray(np.linalg.qr(scaled, mode="r")), np.diag(deviations[free]), trans="T")
     covariance[np.ix_(free, free)] = root.T @ root  # by its root: no variance comes out below 0
-    covariance += np.diag(_left_out(layout) * (deviations > 0.0))
+    # What a command does is measured, so that a curve too steep leaves the gains too small.
+    together = np.eye(len(x))
+    together[[model.SHAPE + axis for axis in _TURNING]] -= model.steepness(x, layout, problem.mean_output)[1]
+    covariance += together @ np.diag(_left_out(layout) * (deviations > 0.0)) @ together.T
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)

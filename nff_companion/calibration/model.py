@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nff_companion.calibration.chain import Motors
+from nff_companion.calibration.chain import Motors, fraction
 from nff_companion.core.vehicle import Vehicle
 
 AXES = 4
@@ -22,6 +22,7 @@ DELAY, LAG, ASYMMETRY, EXPO, IDLE = range(5)
 SHAPE = 5
 _MOTORS = SHAPE + AXES
 LEAD = -1
+_CURVE_STEP = 1e-3  # of output, curve and idle
 _LEAD_S = 0.03  # of yaw, before any record was seen
 _STEPS = np.array([5e-4, 0.01, 0.02, 0.01, 0.002])  # of the differences that derivatives are taken from
 
@@ -123,6 +124,26 @@ def variants(x: NDArray[np.float64], full: float, free: NDArray[np.int64]) -> li
         moved[k] += _STEPS[k]
         out.append(shape_of(moved, full))
     return out
+
+
+def steepness(x: NDArray[np.float64], layout: Layout, output: float) -> tuple[float, NDArray[np.float64]]:
+    """Relative change of thrust with ``output`` there, 1/output, and the derivative (parameters,) of its logarithm.
+
+    What a command does is a gain times this, and is known better than either: of two vehicles of one record, the one
+    with the steeper curve has the smaller gains.
+    """
+
+    def at(changed: NDArray[np.float64]) -> float:
+        places = output + _CURVE_STEP * np.array([-1.0, 0.0, 1.0])
+        low, middle, high = fraction(places, shape_of(changed, layout.full)).tolist()
+        return float((high - low) / (2.0 * _CURVE_STEP * middle))
+
+    slope = np.zeros(len(x))
+    for k in (EXPO, IDLE):
+        step = np.zeros(len(x))
+        step[k] = _CURVE_STEP
+        slope[k] = (np.log(at(x + step)) - np.log(at(x - step))) / (2.0 * _CURVE_STEP)
+    return at(x), slope
 
 
 def unit_rows(layout: Layout, x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nff_companion.calibration import chain, model
+from nff_companion.calibration import model
 from nff_companion.calibration.fit import Fit
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicle_model
@@ -155,7 +155,7 @@ def compare(found: Calibration, true: Vehicle) -> tuple[dict[str, Any], dict[str
     turning = (model.ROLL, model.PITCH, model.YAW)
     gains = [float(mine[k] @ layout.rows[k] / (at_mean[k] @ layout.rows[k]) - 1.0) for k in turning]
     shape, d = model.shape_of(fit.x, layout.full), fit.deviation
-    steeper = _steepness(fit, lambda u: chain.fraction(u, shape)) / _steepness(fit, true.thrust_fraction)
+    steeper = model.steepness(fit.x, layout, fit.mean_output)[0] / _steepness(fit, true.thrust_fraction)
     lag_s = 0.5 * (shape.lag_up_s + shape.lag_down_s)
     true_lag_s = 0.5 * float(np.mean(true.rotors.time_constant_up_s + true.rotors.time_constant_down_s))
     errors = {
@@ -167,6 +167,7 @@ def compare(found: Calibration, true: Vehicle) -> tuple[dict[str, Any], dict[str
     }
     deviations = {
         "acceleration": d[model.gains_of(layout)][1:].tolist(),
+        "acceleration_per_output": fit.command_deviation.tolist(),
         "lag_ms": 1e3 * lag_s * float(d[model.LAG]),
         "delay_ms": 1e3 * float(d[model.DELAY]),
         "expo": float(d[model.EXPO]),
