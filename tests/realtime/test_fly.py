@@ -169,7 +169,7 @@ def test_a_companion_that_is_never_ready_for_want_of_speed_is_no_failed_flight(
         trial.pilot.connect()
         with (
             pytest.raises(flight.SlowMachineError, match="Hz") as error,
-            flight.companion(trial.pilot, tmp_path, trial.text, rate_hz=100.0, ready_s=2.0),
+            flight.companion(trial.pilot, tmp_path, trial.text, rate_hz=100.0, ready_s=5.0),
         ):
             pass
         trial.pilot.close()
