@@ -46,8 +46,9 @@ class FlightRecorder:
         if self._end > self._mark and sample.time_s <= self._time_s[place - 1]:
             return  # the same again
         self._time_s[place] = sample.time_s
-        quaternion = _NO_QUATERNION if sample.quaternion is None else sample.quaternion
-        velocity = _NO_VELOCITY if sample.velocity_m_s is None else sample.velocity_m_s
+        quaternion, velocity = _NO_QUATERNION, _NO_VELOCITY
+        if sample.moves_plausibly and sample.quaternion is not None and sample.velocity_m_s is not None:
+            quaternion, velocity = sample.quaternion, sample.velocity_m_s
         self._values[place] = np.concatenate(
             (sample.gyro_rad_s, sample.specific_force_m_s2, quaternion, velocity, sample.output)
         )

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -33,6 +33,7 @@ from nff_companion.daemon.proposal import Proposer, Source
 from nff_companion.daemon.service import Daemon
 from nff_companion.errors import StateFileError
 from nff_companion.replay import calibrate, propose
+from nff_companion.session import Session
 from nff_companion.state_file import StateFile
 from sitl.trials.process import config_text, free_port
 
@@ -69,7 +70,7 @@ def until(made: Proposer, ground: Ground, state: str, timeout_s: float = 30.0) -
     began_s, before = time.monotonic(), made.document()["state"]
 
     def looked() -> bool:
-        note = made.turn(ground, 1000.0 * (time.monotonic() - began_s))  # type: ignore[arg-type]
+        note = made.turn(cast("Session", ground), 1000.0 * (time.monotonic() - began_s))
         said.extend([] if note is None else [note])
         now = made.document()
         assert now["state"] in ("waiting", "calibrating", before, state), now
@@ -99,7 +100,7 @@ def test_a_flight_with_slower_motors_and_two_of_them_swapped_gives_a_file_that_s
         recorder.add(sample)
     ground, folder = Ground(flown_file.with_telemetry(vehicles.TelemetryTable(0.0, 0.0))), tmp_path / "state"
     made = proposer(folder, recorder, str(tmp_path / "flown.toml"))
-    assert made.turn(ground, 0.0) is None  # type: ignore[arg-type]
+    assert made.turn(cast("Session", ground), 0.0) is None
     assert made.document()["state"] == "waiting"
     recorder.landed()
     said = until(made, ground, "proposed", 120.0)
@@ -115,7 +116,7 @@ def test_a_flight_with_slower_motors_and_two_of_them_swapped_gives_a_file_that_s
     np.testing.assert_allclose(np.sign(found.effectiveness_si), np.sign(flown_file.effectiveness_si))
     assert found.confirmed == "", "another order is for a flight to confirm"
     assert sorted(path.name for path in folder.iterdir()) == ["proposed-octo-x.toml"]
-    assert made.turn(ground, 1e9) is None, "said once"  # type: ignore[arg-type]
+    assert made.turn(cast("Session", ground), 1e9) is None, "said once"
 
 
 def test_the_pilot_hears_of_a_proposal_in_a_text_that_fits() -> None:
@@ -130,7 +131,7 @@ def test_it_waits_for_a_landing_and_is_ended_when_armed_again(tmp_path: Path, an
     ground, recorder = Ground(vehicles.load("octo-x")), landed()
     made = proposer(tmp_path, recorder)
     for ground.armed in (True, None):
-        assert made.turn(ground, 0.0) is None  # type: ignore[arg-type]
+        assert made.turn(cast("Session", ground), 0.0) is None
         assert made.document()["state"] == "waiting"
     ground.armed = False
     until(made, ground, "calibrating")

@@ -43,6 +43,18 @@ def test_it_takes_no_more_than_it_says_and_keeps_the_newest() -> None:
     assert time_s.nbytes + values.nbytes == recorder.bytes_max == 100 * 92
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300, 500.0])
+def test_a_velocity_that_no_vehicle_has_is_kept_as_not_known(bad: float) -> None:
+    recorder = FlightRecorder(8, 10)
+    odd = sample(0.0)
+    odd.velocity_m_s = np.full(3, bad)
+    with np.errstate(all="raise"):
+        recorder.add(odd)
+    (kept,) = samples(*recorder.taken())
+    assert kept.velocity_m_s is None
+    assert kept.quaternion is None
+
+
 def test_a_flight_in_which_a_motor_fails_is_not_kept_and_those_before_are() -> None:
     recorder = FlightRecorder(8, 100)
     filled(recorder, 0, 60)
