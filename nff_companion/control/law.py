@@ -15,13 +15,22 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from nff_companion.core.filters import lag_share
+from nff_companion.control.cascade import (
+    NOUGHT,
+    Axes,
+    Vector,
+    attitude_error,
+    axes_along,
+    axes_of,
+    clip,
+    dot,
+    followed,
+    gyroscopic,
+    scaled,
+    within_tilt,
+)
 from nff_companion.core.tuning import DEFAULT, LawTuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
-
-Vector = tuple[float, float, float]
-Axes = tuple[Vector, Vector, Vector]
-
 
 @dataclass(frozen=True, slots=True)
 class Reference:
@@ -51,32 +60,30 @@ class Knowledge:
 
 
 class Memory(msgspec.Struct, frozen=True, eq=False):
-    """What the law remembers between samples; (3,) each.
+    """What the law remembers between samples.
 
     Integrals of the position loop, m/s^2 NED, and of the attitude loop, rad/s^2 body; the last body rates and their
     derivative; the body axes wanted last (NED) and the rate at which they turn; the tracking error s (n,) of the last
     sample, actual - reference: upward velocity in m/s, body rates in rad/s.
     """
 
-    push_m_s2: NDArray[np.float64]
-    turn_rad_s2: NDArray[np.float64]
+    push_m_s2: Vector = NOUGHT
+    turn_rad_s2: Vector = NOUGHT
     rate_rad_s: Vector | None = None
-    acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)
+    acceleration_rad_s2: Vector = NOUGHT
     desired: Axes | None = None
-    turning_rad_s: Vector = (0.0, 0.0, 0.0)
+    turning_rad_s: Vector = NOUGHT
     tracking_error: tuple[float, ...] = ()
 
     def held_back(self, before: Memory, limited: NDArray[np.bool_]) -> Memory:
         """With the attitude integrals of axes that are ``limited`` (3,) bool by saturation grown no further."""
         if not limited.any():
             return self
-        grown = limited & (np.abs(self.turn_rad_s2) > np.abs(before.turn_rad_s2))
-        return replace(self, turn_rad_s2=np.where(grown, before.turn_rad_s2, self.turn_rad_s2))
-
-    @staticmethod
-    def empty() -> Memory:
-        """Nothing gathered."""
-        return Memory(np.zeros(3), np.zeros(3))
+        x, y, z = [
+            old if stop and abs(new) > abs(old) else new
+            for new, old, stop in zip(self.turn_rad_s2, before.turn_rad_s2, limited.tolist(), strict=True)
+        ]
+        return replace(self, turn_rad_s2=(x, y, z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,181 +117,131 @@ class State:
     rate_rad_s: NDArray[np.float64]
 
 
-def _axes(q: NDArray[np.float64]) -> Axes:
-    """The body's axes in NED (columns of the rotation matrix) of the quaternion (w, x, y, z)."""
-    w, x, y, z = q.tolist()
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _scaled(a: Vector, k: float) -> Vector:
-    return a[0] * k, a[1] * k, a[2] * k
-
-
-def _clip(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
-
-
-def attitude_error(body: Axes, desired: Axes) -> Vector:
-    """Rotation vector in the body frame, rad, from the ``body`` axes to the ``desired`` ones."""
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = body
-    (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = desired
-    # Half the sum of the cross products of each axis with where it should be: the sine of the angle, along the axis.
-    x = 0.5 * (ay * dz - az * dy + by * ez - bz * ey + cy * fz - cz * fy)
-    y = 0.5 * (az * dx - ax * dz + bz * ex - bx * ez + cz * fx - cx * fz)
-    z = 0.5 * (ax * dy - ay * dx + bx * ey - by * ex + cx * fy - cy * fx)
-    trace = ax * dx + ay * dy + az * dz + bx * ex + by * ey + bz * ez + cx * fx + cy * fy + cz * fz
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 1e-9 else 1.0
-    return (
-        scale * (ax * x + ay * y + az * z),
-        scale * (bx * x + by * y + bz * z),
-        scale * (cx * x + cy * y + cz * z),
-    )
-
-
 def steady_push(
     quaternion: NDArray[np.float64],
     specific_force_m_s2: NDArray[np.float64],
     most_m_s2: float = DEFAULT.law.integral_max_m_s2,
-) -> NDArray[np.float64]:
-    """Horizontal push of the thrust now (3,) m/s^2 NED, at most ``most_m_s2``: in a steady hover, what the
-    wind asks for.
+) -> Vector:
+    """Horizontal push of the thrust now, m/s^2 NED, at most ``most_m_s2``: in a steady hover, what the wind asks for.
 
     The integral begins with it, so that taking over does not let the vehicle drift off first.
     """
-    down = _axes(quaternion)[2]
+    down = axes_of(*quaternion.tolist())[2]
     force = float(specific_force_m_s2[2])
-    return np.array([_clip(down[0] * force, most_m_s2), _clip(down[1] * force, most_m_s2), 0.0])
+    return clip(down[0] * force, most_m_s2), clip(down[1] * force, most_m_s2), 0.0
 
 
 class ControlLaw:
     """Constants of one airframe; ``demand`` takes and returns its memory."""
 
     def __init__(self, vehicle: Vehicle, tuning: LawTuning = DEFAULT.law) -> None:
-        self._vehicle, self._tuning = vehicle, tuning
-        self.gains = Gains.of(vehicle, tuning)
-        self._turn_shares = np.array([1.0, 1.0, tuning.yaw_share])
-        self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
-        self._scale = 1.0 / vehicle.row_scale
+        self._tuning = tuning
+        self.gains = g = Gains.of(vehicle, tuning)
+        self._mass_kg = vehicle.mass_kg
+        x, y, z = vehicle.inertia_kg_m2.tolist()
+        self._inertia: Vector = (x, y, z)
+        self._scale: list[float] = (1.0 / vehicle.row_scale).tolist()
+        self._tangent = math.tan(math.radians(tuning.tilt_max_deg))
+        self._least_m_s2 = tuning.min_thrust_share * GRAVITY_M_S2
+        self._push_step = tuning.integral_per_s * g.velocity * g.position
+        turn_step = tuning.torque_integral_per_s * g.rate * g.attitude
+        slow = tuning.yaw_share
+        # Of roll, pitch and yaw: share of the gains, attitude gain, largest rate, step of the integral.
+        self._turns = (
+            (1.0, g.attitude, tuning.rate_max_rad_s, turn_step),
+            (1.0, g.attitude, tuning.rate_max_rad_s, turn_step),
+            (slow, slow * g.attitude, tuning.yaw_rate_max_rad_s, slow * turn_step),
+        )
 
     def taken_over(
         self, quaternion: NDArray[np.float64], specific_force_m_s2: NDArray[np.float64], knowledge: Knowledge
     ) -> Memory:
         """Memory to begin with; where the drag is fed forward, it is not counted twice."""
         if knowledge.push_m_s2.any():
-            return Memory.empty()
-        return Memory(steady_push(quaternion, specific_force_m_s2, self._tuning.integral_max_m_s2), np.zeros(3))
+            return Memory()
+        return Memory(steady_push(quaternion, specific_force_m_s2, self._tuning.integral_max_m_s2))
 
     def demand(
         self, state: State, reference: Reference, memory: Memory, knowledge: Knowledge, dt_s: float
     ) -> tuple[NDArray[np.float64], Memory]:
         """Demand (n,) in normalised units, and the new memory."""
-        tuning = self._tuning
-        body = _axes(state.quaternion)
-        push, gathered = self._push(state, reference, memory.push_m_s2, dt_s)
-        dx, dy = [_clip(value, tuning.drag_max_m_s2) for value in knowledge.push_m_s2.tolist()]
-        drag = [body[0][k] * dx + body[1][k] * dy for k in range(3)]
-        push = _within_tilt((push[0] - drag[0], push[1] - drag[1], push[2] - drag[2]), tuning)
+        t = self._tuning
+        body = axes_of(*state.quaternion.tolist())
+        vx, vy, vz = state.velocity_m_s.tolist()
+        wanted_x, wanted_y, wanted_z = reference.velocity_m_s.tolist()
+        slower = (wanted_x - vx, wanted_y - vy, wanted_z - vz)
+        (north, east, down), gathered = self._push(state, reference, slower, memory.push_m_s2, dt_s)
+        dx, dy = knowledge.push_m_s2.tolist()
+        dx, dy = clip(dx, t.drag_max_m_s2), clip(dy, t.drag_max_m_s2)
+        (ax, ay, az), (bx, by, bz), body_down = body
+        against_drag = (north - (ax * dx + bx * dy), east - (ay * dx + by * dy), down - (az * dx + bz * dy))
+        push = within_tilt(against_drag, self._tangent, t.vertical_max_m_s2 - GRAVITY_M_S2)
+        known: list[float] = knowledge.residual.tolist()
         # The floor is on what the motors give, after phi a is taken off: nobody asks a motor for less than nothing.
-        specific = max(-_dot(push, body[2]) - float(knowledge.residual[0]), tuning.min_thrust_share * GRAVITY_M_S2)
+        specific = max(-dot(push, body_down) - known[0], self._least_m_s2)
 
-        down = _scaled(push, -1.0 / math.sqrt(_dot(push, push)))
-        heading = (math.cos(reference.yaw_rad), math.sin(reference.yaw_rad), 0.0)
-        right = _cross(down, heading)
-        right = _scaled(right, 1.0 / math.sqrt(_dot(right, right)))
-        desired = (_cross(right, down), right, down)
-        turning = self._turning(memory, desired, dt_s)
-        w, j = state.rate_rad_s.tolist(), self._inertia
-        angular, turned = self._turn(attitude_error(body, desired), turning, w, memory, knowledge, dt_s)
-        gyroscopic = _cross((w[0], w[1], w[2]), (j[0] * w[0], j[1] * w[1], j[2] * w[2]))
-        torque = [j[k] * angular[k] + gyroscopic[k] for k in range(3)]
-        demand = np.array([self._vehicle.mass_kg * specific, *torque])
-        sinking = float(state.velocity_m_s[2] - reference.velocity_m_s[2])
-        error = (-sinking, *turned.tracking_error)
-        return demand * self._scale, replace(turned, push_m_s2=gathered, desired=desired, tracking_error=error)
-
-    def _turn(
-        self,
-        axis: Vector,
-        turning: Vector,
-        w: list[float],
-        memory: Memory,
-        knowledge: Knowledge,
-        dt_s: float,
-    ) -> tuple[list[float], Memory]:
-        """Angular acceleration (3,) asked for, and what the attitude loop remembers."""
-        g, t = self.gains, self._tuning
-        share = lag_share(dt_s, t.lead_s)
-        before = memory.rate_rad_s or (w[0], w[1], w[2])
-        old = memory.acceleration_rad_s2
-        acceleration = [old[k] + share * ((w[k] - before[k]) / dt_s - old[k]) for k in range(3)]
-        integral, known = memory.turn_rad_s2.tolist(), knowledge.residual.tolist()
-        out, error = [], []
-        for k in range(3):
-            slow, most = (t.yaw_share, t.yaw_rate_max_rad_s) if k == 2 else (1.0, t.rate_max_rad_s)
-            rate = _clip(slow * g.attitude * axis[k], most) + turning[k]
-            error.append(w[k] - rate)
-            back = g.rate * (rate - w[k] - g.lead_s * acceleration[k])
-            out.append(slow * (back + integral[k]) - known[k + 1])
-            step = dt_s * t.torque_integral_per_s * g.rate * g.attitude * axis[k] * slow
-            integral[k] = _clip(integral[k] + step, t.torque_integral_max_rad_s2)
-        return out, Memory(
-            push_m_s2=memory.push_m_s2,
-            turn_rad_s2=np.array(integral),
-            rate_rad_s=(w[0], w[1], w[2]),
-            acceleration_rad_s2=(acceleration[0], acceleration[1], acceleration[2]),
+        desired = axes_along(push, reference.yaw_rad)
+        turning = NOUGHT
+        if memory.desired is not None:  # the rate at which the attitude wanted turns, smoothed
+            x, y, z = scaled(attitude_error(memory.desired, desired), 1.0 / dt_s)
+            most = t.turning_max_rad_s
+            step = clip(x, most), clip(y, most), clip(z, most)
+            turning = followed(memory.turning_rad_s, step, dt_s, t.turning_s)
+        wx, wy, wz = state.rate_rad_s.tolist()
+        rate = (wx, wy, wz)
+        before = memory.rate_rad_s or rate
+        sharpness = ((wx - before[0]) / dt_s, (wy - before[1]) / dt_s, (wz - before[2]) / dt_s)
+        acceleration = followed(memory.acceleration_rad_s2, sharpness, dt_s, t.lead_s)
+        angular, integral, error = self._turn(
+            attitude_error(body, desired), turning, rate, acceleration, memory.turn_rad_s2, dt_s
+        )
+        swirl, inertia, scale = gyroscopic(rate, self._inertia), self._inertia, self._scale
+        demand = [self._mass_kg * specific * scale[0]]
+        demand += [(inertia[k] * (angular[k] - known[k + 1]) + swirl[k]) * scale[k + 1] for k in (0, 1, 2)]
+        return np.array(demand), Memory(
+            push_m_s2=gathered,
+            turn_rad_s2=integral,
+            rate_rad_s=rate,
+            acceleration_rad_s2=acceleration,
+            desired=desired,
             turning_rad_s=turning,
-            tracking_error=tuple(error),
+            tracking_error=(slower[2], *error),
         )
 
-    def _turning(self, memory: Memory, desired: Axes, dt_s: float) -> Vector:
-        """Rate (3,) rad/s, body, at which the attitude wanted turns, smoothed."""
-        if memory.desired is None:
-            return 0.0, 0.0, 0.0
-        step = attitude_error(memory.desired, desired)
-        share, old = lag_share(dt_s, self._tuning.turning_s), memory.turning_rad_s
-        new = [old[k] + share * (_clip(step[k] / dt_s, self._tuning.turning_max_rad_s) - old[k]) for k in range(3)]
-        return new[0], new[1], new[2]
+    def _turn(  # noqa: PLR0913
+        self, axis: Vector, turning: Vector, rate: Vector, acceleration: Vector, integral: Vector, dt_s: float
+    ) -> tuple[list[float], Vector, list[float]]:
+        """Angular acceleration (3,) asked for, the integral after it, and the rate's error (3,)."""
+        gain, lead_s, limit = self.gains.rate, self.gains.lead_s, self._tuning.torque_integral_max_rad_s2
+        out, grown, errors = [], [], []
+        for k in (0, 1, 2):
+            slow, attitude, most, step = self._turns[k]
+            error = rate[k] - (clip(attitude * axis[k], most) + turning[k])
+            errors.append(error)
+            out.append(slow * (gain * (-error - lead_s * acceleration[k]) + integral[k]))
+            grown.append(clip(integral[k] + dt_s * step * axis[k], limit))
+        return out, (grown[0], grown[1], grown[2]), errors
 
     def _push(
-        self, state: State, reference: Reference, integral: NDArray[np.float64], dt_s: float
-    ) -> tuple[Vector, NDArray[np.float64]]:
-        """Acceleration wanted less gravity, NED, and the integral (3,) of the position loop."""
+        self, state: State, reference: Reference, slower: Vector, integral: Vector, dt_s: float
+    ) -> tuple[Vector, Vector]:
+        """Acceleration wanted less gravity, NED, and the integral of the position loop; ``slower`` than wanted in m/s."""
         g, t = self.gains, self._tuning
-        error: list[float] = (reference.position_m - state.position_m).tolist()
-        size = math.sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2])
-        if size > t.position_error_max_m:
-            error = [e * (t.position_error_max_m / size) for e in error]
-        before: list[float] = integral.tolist()
-        slower: list[float] = (reference.velocity_m_s - state.velocity_m_s).tolist()
-        north, east, down = (
-            g.velocity * (g.position * e + v) + i + a
-            for e, v, i, a in zip(error, slower, before, reference.acceleration_m_s2.tolist(), strict=True)
+        px, py, pz = state.position_m.tolist()
+        x, y, z = reference.position_m.tolist()
+        x, y, z = x - px, y - py, z - pz
+        size, most = math.sqrt(x * x + y * y + z * z), t.position_error_max_m
+        near = size < most
+        if size > most:
+            x, y, z = x * (most / size), y * (most / size), z * (most / size)
+        i, j, k = integral
+        forward, sideways, sinking = reference.acceleration_m_s2.tolist()
+        push = (
+            g.velocity * (g.position * x + slower[0]) + i + forward,
+            g.velocity * (g.position * y + slower[1]) + j + sideways,
+            clip(g.velocity * (g.position * z + slower[2]) + k + sinking, t.vertical_max_m_s2) - GRAVITY_M_S2,
         )
-        if size < t.position_error_max_m:
-            step, most = dt_s * t.integral_per_s * g.velocity * g.position, t.integral_max_m_s2
-            integral = np.array([_clip(i + step * e, most) for i, e in zip(before, error, strict=True)])
-        return (north, east, _clip(down, t.vertical_max_m_s2) - GRAVITY_M_S2), integral
-
-
-def _within_tilt(push: Vector, tuning: LawTuning) -> Vector:
-    """Specific force (3,) NED, upward whatever was asked for, its horizontal part cut to the largest tilt."""
-    north, east, vertical = push
-    vertical = min(vertical, tuning.vertical_max_m_s2 - GRAVITY_M_S2)
-    lateral = math.hypot(north, east)
-    lateral_max = -vertical * math.tan(math.radians(tuning.tilt_max_deg))
-    if lateral > lateral_max:
-        north, east = north * lateral_max / lateral, east * lateral_max / lateral
-    return north, east, vertical
+        if near:
+            step, most = dt_s * self._push_step, t.integral_max_m_s2
+            integral = (clip(i + step * x, most), clip(j + step * y, most), clip(k + step * z, most))
+        return push, integral

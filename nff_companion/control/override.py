@@ -20,7 +20,7 @@ class OverrideState(msgspec.Struct, frozen=True, eq=False):
     """The reference held, None: nothing is followed yet; and what the law remembers."""
 
     hold: Reference | None = None
-    memory: Memory = msgspec.field(default_factory=Memory.empty)
+    memory: Memory = msgspec.field(default_factory=Memory)
 
 
 class OverrideLoop:

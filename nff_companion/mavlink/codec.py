@@ -1,6 +1,6 @@
 """MAVLink framing with our dialect: buffers in, messages out, and back. Never sees a socket.
 
-The frames are found here; those without texts are decoded in ``frame``, all others by the generated dialect. Its own
+The frames are found here; those without texts are decoded and encoded in ``frame``, all others by the generated dialect. Its own
 parser believes every header: two bytes of garbage make it swallow all frames of the next 267 bytes.
 """
 
@@ -88,10 +88,15 @@ class Codec:
         self._left, self._counted = b"", 0
 
     def pack(self, message: Message) -> bytes:
-        """Frame with the next sequence number."""
-        data = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return bytes(data)
+        """Frame with the next sequence number. Raises struct.error, OverflowError for what a field cannot hold."""
+        mav = self._mav
+        known = _FORMATS.get(message.get_msgId())
+        if known is None:
+            data = bytes(message.pack(mav))
+        else:
+            data = known.encode(message, mav.seq, mav.srcSystem, mav.srcComponent)
+        mav.seq = (mav.seq + 1) % 256
+        return data
 
     # -- frames -------------------------------------------------------------------------------------------------
 

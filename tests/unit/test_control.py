@@ -29,7 +29,7 @@ def demand(
     state = State(np.asarray(position, float), np.asarray(velocity, float), quaternion, np.asarray(rate, float))
     wanted = Reference(np.zeros(3), np.zeros(3), yaw)
     slow = np.zeros(4) if disturbance is None else np.asarray(disturbance, float)
-    return ControlLaw(octo).demand(state, wanted, Memory.empty(), Knowledge(slow, np.zeros(2)), 0.005)[0]
+    return ControlLaw(octo).demand(state, wanted, Memory(), Knowledge(slow, np.zeros(2)), 0.005)[0]
 
 
 def test_at_rest_in_place_it_asks_for_the_weight_and_nothing_else(octo: Vehicle) -> None:
@@ -76,7 +76,7 @@ def test_the_push_of_a_leaning_hover_is_where_it_leans(octo: Vehicle) -> None:
     lean = np.array([math.cos(-0.05), 0, math.sin(-0.05), 0])  # nose down: pushes forward (north)
     push = steady_push(lean, np.array([0, 0, -9.8]))
     assert push[0] == pytest.approx(9.8 * math.sin(0.1), rel=1e-6)
-    assert push[1:].tolist() == [0.0, 0.0]
+    assert push[1:] == (0.0, 0.0)
 
 
 def test_whatever_is_measured_or_believed_the_attitude_wanted_is_upright(
@@ -91,7 +91,7 @@ def test_whatever_is_measured_or_believed_the_attitude_wanted_is_upright(
         wild = Knowledge(rng.uniform(-50, 50, 4), rng.uniform(-400, 400, 2))
         position, velocity = (rng.uniform(-1, 1, 3) * s for s in (500.0, 50.0))
         reference = Reference(position, velocity, 1.0, rng.uniform(-50, 50, 3))
-        asked, memory = law.demand(state, reference, Memory.empty(), wild, 0.005)
+        asked, memory = law.demand(state, reference, Memory(), wild, 0.005)
         assert np.isfinite(asked).all()
         assert memory.desired is not None
         assert memory.desired[2][2] >= math.cos(math.radians(30.1)), "body z points down within the largest tilt"

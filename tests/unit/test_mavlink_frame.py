@@ -52,3 +52,26 @@ def test_what_holds_texts_is_left_to_the_library() -> None:
     texts = {number for number, kind in dialect.mavlink_map.items() if "char" in kind.fieldtypes}
     assert set(FORMATS) == set(dialect.mavlink_map) - texts
     assert dialect.MAVLINK_MSG_ID_STATUSTEXT in texts
+
+
+@pytest.mark.parametrize("kind", [dialect.mavlink_map[number] for number in FORMATS], ids=lambda kind: kind.msgname)
+def test_a_message_is_encoded_as_the_library_does(kind: Any, rng: np.random.Generator) -> None:
+    size = kind.unpacker.size
+    for length in (size, size, size // 2, 0):  # what ends in zeros is cut
+        message = LIBRARY.decode(bytearray(frame_of(kind, rng.bytes(length).ljust(size, b"\0"), rng)))
+        sequence, system, component = rng.integers(0, 256, 3).tolist()
+        library = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        library.seq = sequence
+        assert FORMATS[kind.id].encode(message, sequence, system, component) == message.pack(library)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("target_system", 256), ("target_system", -1), ("target_system", 0.5), ("sample_usec", None), ("outputs", [0.5] * 15)],
+)
+def test_what_a_field_cannot_hold_is_refused(field: str, value: object) -> None:
+    message = dialect.MAVLink_nff_actuator_override_message(1, 1, 100, 1, 1, 8, [0.5] * 16)
+    assert hasattr(message, field)
+    setattr(message, field, value)
+    with pytest.raises((struct.error, OverflowError)):
+        FORMATS[message.id].encode(message, 0, 1, 1)
