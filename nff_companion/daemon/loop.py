@@ -11,7 +11,9 @@ from nff_companion.session import Session
 from nff_companion.vehicle_link import Outgoing
 
 IDLE_S = 0.05  # longest wait for a datagram: heartbeats and the watchdog come from this loop
-_DUE_S = 0.005  # between two looks at what is due: datagrams that come close together are not held up by them
+# Between two looks at what is due. There is time for one after a sample; without samples it comes a little later, so that
+# what belongs to a sample and comes before it is not held up.
+_DUE_S, _DUE_LATEST_S = 0.005, 0.012
 
 
 class Loop:
@@ -28,6 +30,7 @@ class Loop:
     def turn(self, session: Session, wait_s: float, other: Callable[[int], None] | None = None) -> bool:
         """Once round; ``other`` is given descriptors with input that are not the hub's. Returns whether what is due was
         looked at too, which is not at every turn."""
+        sampled = False
         for descriptor, _ in self.poll.poll(1e3 * wait_s):
             if not self.hub.owns(descriptor):
                 if other is not None:
@@ -40,9 +43,10 @@ class Loop:
                 self.send(outgoing)
                 self.send(session.think())
                 if session.reporter.counters.samples != before:
+                    sampled = True
                     session.reporter.took(time.perf_counter() - began)
         now = self.clock()
-        if 0.0 <= now - self._due_s < _DUE_S:
+        if 0.0 <= now - self._due_s < (_DUE_S if sampled else _DUE_LATEST_S):
             return False
         self._due_s = now
         self._count(session)

@@ -30,7 +30,7 @@ class Format:
             self._names += [name] * length
         # Of what is sent: each field's name, an array's numbers in its place.
         self._field = attrgetter(*kind.ordered_fieldnames)
-        self._single, self._flat, self._lengths = len(kind.orders) == 1, not self._arrays, kind.array_lengths
+        self._single, self._lengths = len(kind.orders) == 1, kind.array_lengths
         self._number = kind.id.to_bytes(3, "little")
 
     def encode(self, message: Any, sequence: int, system: int, component: int) -> bytes:
@@ -38,15 +38,13 @@ class Format:
         fields = self._field(message)
         if self._single:
             fields = (fields,)
-        if not self._flat:
-            numbers: list[Any] = []
-            for field, length in zip(fields, self._lengths, strict=True):
-                if length:
-                    numbers += field
-                else:
-                    numbers.append(field)
-            fields = numbers
-        payload = self._unpacker.pack(*fields).rstrip(b"\0") or b"\0"  # zeros at its end are not sent
+        numbers: list[Any] = []
+        for field, length in zip(fields, self._lengths, strict=True):
+            if length:
+                numbers += field
+            else:
+                numbers.append(field)
+        payload = self._unpacker.pack(*numbers).rstrip(b"\0") or b"\0"  # zeros at its end are not sent
         body = bytes((len(payload), 0, 0, sequence, system, component)) + self._number + payload
         checksum = mcrf4xx(body + self._extra)
         return b"%c%b%c%c" % (_MAVLINK_2, body, checksum & 0xFF, checksum >> 8)
