@@ -32,6 +32,7 @@ from nff_companion.control.cascade import (
 from nff_companion.core.tuning import DEFAULT, LawTuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
 
+
 @dataclass(frozen=True, slots=True)
 class Reference:
     """Where to be: NED position in m, velocity in m/s, heading in rad."""
@@ -208,7 +209,7 @@ class ControlLaw:
             tracking_error=(slower[2], *error),
         )
 
-    def _turn(  # noqa: PLR0913
+    def _turn(
         self, axis: Vector, turning: Vector, rate: Vector, acceleration: Vector, integral: Vector, dt_s: float
     ) -> tuple[list[float], Vector, list[float]]:
         """Angular acceleration (3,) asked for, the integral after it, and the rate's error (3,)."""
@@ -225,7 +226,7 @@ class ControlLaw:
     def _push(
         self, state: State, reference: Reference, slower: Vector, integral: Vector, dt_s: float
     ) -> tuple[Vector, Vector]:
-        """Acceleration wanted less gravity, NED, and the integral of the position loop; ``slower`` than wanted in m/s."""
+        """Acceleration wanted less gravity, NED, and the integral of the position loop; ``slower`` than that, m/s."""
         g, t = self.gains, self._tuning
         px, py, pz = state.position_m.tolist()
         x, y, z = reference.position_m.tolist()

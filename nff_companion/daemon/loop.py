@@ -11,8 +11,8 @@ from nff_companion.session import Session
 from nff_companion.vehicle_link import Outgoing
 
 IDLE_S = 0.05  # longest wait for a datagram: heartbeats and the watchdog come from this loop
-# Between two looks at what is due. There is time for one after a sample; without samples it comes a little later, so that
-# what belongs to a sample and comes before it is not held up.
+# Between two looks at what is due. There is time for one after a sample; without samples it comes a little later, so
+# that what belongs to a sample and comes before it is not held up.
 _DUE_S, _DUE_LATEST_S = 0.005, 0.012
 
 

@@ -1,7 +1,7 @@
 """MAVLink framing with our dialect: buffers in, messages out, and back. Never sees a socket.
 
-The frames are found here; those without texts are decoded and encoded in ``frame``, all others by the generated dialect. Its own
-parser believes every header: two bytes of garbage make it swallow all frames of the next 267 bytes.
+The frames are found here; those without texts are decoded and encoded in ``frame``, all others by the generated
+dialect. Its own parser believes every header: two bytes of garbage make it swallow all frames of the next 267 bytes.
 """
 
 from __future__ import annotations

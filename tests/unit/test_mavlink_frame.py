@@ -67,7 +67,7 @@ def test_a_message_is_encoded_as_the_library_does(kind: Any, rng: np.random.Gene
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("target_system", 256), ("target_system", -1), ("target_system", 0.5), ("sample_usec", None), ("outputs", [0.5] * 15)],
+    [("target_system", 256), ("target_system", -1), ("target_system", 0.5), ("sample_usec", None), ("outputs", [0.5])],
 )
 def test_what_a_field_cannot_hold_is_refused(field: str, value: object) -> None:
     message = dialect.MAVLink_nff_actuator_override_message(1, 1, 100, 1, 1, 8, [0.5] * 16)
