@@ -9,7 +9,7 @@ Each effect is the simplest form that has the right shape:
 - ground effect after Cheeseman and Bennett, T / T_free = 1 / (1 - (R / 4 z)^2);
 - airframe drag, quadratic, with its own area on each side.
 
-``air`` is the velocity through the air in the body frame, m/s; ``body`` a record BODY, ``rotors`` (m,) records ROTOR.
+``air`` is the velocity through the air in the body frame, m/s; ``body`` a record BODY, ``rotors`` (N, m) of them ROTOR.
 """
 
 from __future__ import annotations
@@ -67,14 +67,14 @@ def stream(body: Record, static_n: float, air: Vector, height_m: float) -> Strea
 
 
 @part
-def thrust_factor(body: Record, rotors: NDArray[np.void], rotor: int, flow: Stream) -> float:
-    """Thrust of ``rotor`` over that in still air far from the ground; the axial speed is not dealt with here."""
+def thrust_factor(body: Record, rotors: NDArray[np.void], n: int, rotor: int, flow: Stream) -> float:
+    """Thrust of ``rotors[n, rotor]`` over that in still air far from the ground; no axial speed is in it."""
     if flow.wakes == 0.0:
         return flow.lift * flow.cushion
-    x, y, radius = rotors[rotor].place_m[0], rotors[rotor].place_m[1], body.rotor_radius_m
+    x, y, radius = rotors[n, rotor].x_m, rotors[n, rotor].y_m, body.rotor_radius_m
     nearest = math.inf  # to the middle of a wake: squared, over its widths
-    for other in range(len(rotors)):
-        dx, dy = rotors[other].place_m[0] - x, rotors[other].place_m[1] - y
+    for other in range(rotors.shape[1]):
+        dx, dy = rotors[n, other].x_m - x, rotors[n, other].y_m - y
         distance = flow.along_x * dx + flow.along_y * dy  # of the other ahead of this one, along the stream
         if distance > _BEHIND_RADII * radius:
             offset = (flow.along_x * dy - flow.along_y * dx) / radius

@@ -1,10 +1,10 @@
 """How plant, sensors, wind and autopilot are compiled, and where their machine code is kept.
 
-Compiled are plain loops over vehicles and motors, by numba, without fast-math, and divided as numpy divides (by zero: inf
-or nan). A ``part`` is compiled into the kernels that call it; a ``kernel`` is what Python calls. Machine code of kernels
-is kept in ``__pycache__``, or in the user's cache where that cannot be written, and under ``NUMBA_CACHE_DIR`` where that
-is set. Each kernel has one signature: arrays are contiguous, and their numbers are float64, bool or a record of
-``sitl.records``. So whoever compiles at the same time writes the same, file by file and at once.
+Compiled are plain loops over vehicles and motors, by numba, without fast-math, and divided as numpy divides (by zero:
+inf or nan). A ``part`` is compiled into the kernels that call it; a ``kernel`` is what Python calls. Machine code of
+kernels is kept in ``__pycache__``, in the user's cache where that cannot be written, or under ``NUMBA_CACHE_DIR`` where
+that is set. Each kernel has one signature: arrays are contiguous, and hold float64, bool, int64 or records. So whoever
+compiles at the same time writes the same, each file at once.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class UserWide(_OfAllSources, UserWideCacheLocator):
 
 def part(function: _Function) -> _Function:
     """Compiled into each kernel that calls it."""
-    return cast(_Function, numba.njit(error_model="numpy")(function))
+    return cast(_Function, numba.njit(error_model="numpy", forceinline=True)(function))
 
 
 def kernel(function: _Function) -> _Function:

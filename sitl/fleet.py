@@ -15,7 +15,7 @@ from sitl.autopilot.autopilot import Autopilot, Mode
 from sitl.compiled import kernel, part, prepare
 from sitl.faults import Fault, FaultSchedule
 from sitl.noise import vehicle_generators
-from sitl.plant import Makings, Motion, Plant, advance, initial_state
+from sitl.plant import Faults, Makings, Motion, Plant, advance, initial_state
 from sitl.sensors import Instruments, Reading, Sensors, estimate, sample
 from sitl.uncertainty import UNCERTAINTY_STREAM, Uncertainty
 from sitl.wind import Air, Wind, blow
@@ -85,8 +85,7 @@ class Course(NamedTuple):
     """What happens to them in one cycle of the autopilot, of K plant steps."""
 
     output: NDArray[np.float64]  # (N, m)
-    effectiveness: NDArray[np.float64]  # (K, N, m)
-    stuck: NDArray[np.bool_]  # (K, N, m)
+    faults: Faults
     time_s: float
 
 
@@ -106,12 +105,11 @@ def _fly(flown: Flown, watch: Watch, course: Course, places: Places) -> None:
     the sensors' step, each of the first."""
     makings, motion, air, instruments, reading = flown
     step, gust, draw, number = places
-    steps = len(course.stuck)
+    steps = len(course.faults.stuck)
     for n in range(len(course.output)):
         for k in range(steps):
             wind = blow(n, air, gust + k, course.time_s + k / PLANT_RATE_HZ)
-            faults = course.effectiveness[k, n], course.stuck[k, n]
-            advance(n, makings, motion, course.output[n], step + k, faults, wind)
+            advance(n, makings, motion, course.output, step + k, course.faults, k, wind)
             sample(n, instruments, motion, reading, draw + k, number + k)
         estimate(n, instruments, motion, reading, number + steps - 1)
         _judge(n, motion, watch)
@@ -183,5 +181,5 @@ class Fleet:
         self.max_tilt_rad = self.max_tilt_rad.copy()
         flown = Flown(makings, self.state.renewed(), air, instruments, self.sensors.measured.renewed())
         watch = Watch(autopilot.armed, autopilot.mode, autopilot.position.path, self.max_tilt_rad)
-        course = Course(output, *self.faults.over(times), self.time_s)
+        course = Course(output, Faults(*self.faults.over(times)), self.time_s)
         return flown, watch, course, (step, gust_draw, draw, number)

@@ -88,6 +88,13 @@ class Makings(NamedTuple):
     dt_s: float
 
 
+class Faults(NamedTuple):
+    """Of K steps."""
+
+    effectiveness: NDArray[np.float64]  # (K, N, m)
+    stuck: NDArray[np.bool_]  # (K, N, m)
+
+
 def full_load_share() -> float:
     """Thrust that a full battery's sag leaves at full throttle, over that of full voltage."""
     return (1.0 - _BATTERY_SAG) ** 2
@@ -123,72 +130,67 @@ _compiled_fraction = part(_fraction)
 
 @part
 def _send(n: int, makings: Makings, output: NDArray[np.float64], step: int) -> None:
-    """Send ``output`` (m,) to the motors; what was before the first is like the first."""
-    ring = makings.outputs[n]
-    for place in range(len(ring)):
-        if step == 0 or place == step % len(ring):
-            for i in range(len(output)):
-                ring[place, i] = output[i]
+    """Send ``output[n]`` to the motors; what was before the first is like the first."""
+    ring = makings.outputs
+    for place in range(ring.shape[1]):
+        if step == 0 or place == step % ring.shape[1]:
+            for i in range(output.shape[1]):
+                ring[n, place, i] = output[n, i]
 
 
 @part
-def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: tuple[Any, Any]) -> float:
-    """Thrust of each rotor, towards what the motors hear now; returns its mean in N. ``faults``: (m,) each."""
-    body, ring = makings.bodies[n], makings.outputs[n]
-    effectiveness, stuck = faults
-    thrust, held = motion.thrust_n[n], motion.held_command[n]
-    size, late, share_late = len(ring), body.late_steps, body.late_share
+def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: Faults, k: int) -> float:
+    """Thrust and speed of each rotor, towards what the motors hear now; returns the mean thrust in N."""
+    body, ring, thrust, held = makings.bodies[n], makings.outputs, motion.thrust_n, motion.held_command
+    size, late, share_late, motors = ring.shape[1], body.late_steps, body.late_share, thrust.shape[1]
     younger, older = (step - late) % size, (step - late - 1) % size
     load = 0.0
-    for i in range(len(thrust)):
-        load += thrust[i]
+    for i in range(motors):
+        load += thrust[n, i]
     load /= body.lift_n
     motion.battery[n] -= _BATTERY_DRAIN_PER_S * load * makings.dt_s
     voltage = motion.battery[n] - _BATTERY_SAG * load
     total = 0.0
-    for i in range(len(thrust)):
-        rotor = makings.rotors[n, i]
-        if not stuck[i]:
-            held[i] = ring[younger, i] + share_late * (ring[older, i] - ring[younger, i])
-        fraction = _compiled_fraction(held[i], body.spin_min, body.spin_max, body.thrust_expo)
-        target = rotor.max_thrust_n * fraction * effectiveness[i] * (voltage * voltage)
-        thrust[i] += (rotor.share_up if target > thrust[i] else rotor.share_down) * (target - thrust[i])
-        total += thrust[i]
-    return total / len(thrust)
+    for i in range(motors):
+        rotor, before = makings.rotors[n, i], thrust[n, i]
+        if not faults.stuck[k, n, i]:
+            held[n, i] = ring[n, younger, i] + share_late * (ring[n, older, i] - ring[n, younger, i])
+        fraction = _compiled_fraction(held[n, i], body.spin_min, body.spin_max, body.thrust_expo)
+        target = rotor.max_thrust_n * fraction * faults.effectiveness[k, n, i] * (voltage * voltage)
+        after = before + (rotor.share_up if target > before else rotor.share_down) * (target - before)
+        thrust[n, i] = after
+        total += after
+        rotor.speed = math.sqrt(after / rotor.max_thrust_n)
+        rotor.speed_rate_per_s = (rotor.speed - math.sqrt(before / rotor.max_thrust_n)) / makings.dt_s
+    return total / motors
 
 
 @part
-def _wrench(
-    n: int, makings: Makings, motion: Motion, thrust_before: NDArray[np.float64], air: Vector, mean_n: float
-) -> tuple[Vector, Vector, Vector]:
+def _wrench(n: int, makings: Makings, motion: Motion, air: Vector, mean_n: float) -> tuple[Vector, Vector, Vector]:
     """Force without weight, torque, and angular momentum of the rotors, in the body frame.
 
     ``air``: velocity through it; ``mean_n``: mean thrust.
     """
-    body, rotors_n = makings.bodies[n], makings.rotors[n]
-    rate, thrust = vector(motion.rate_rad_s, n), motion.thrust_n[n]
+    body, rate = makings.bodies[n], vector(motion.rate_rad_s, n)
     flow = stream(body, mean_n, air, -motion.position_m[n, 2])
     drag = airframe_drag(body, air)
     force, torque, momentum = drag, cross(components(body.pressure_centre_m), drag), (0.0, 0.0, 0.0)
-    for i in range(len(thrust)):
-        rotor = rotors_n[i]
-        place, axis = components(rotor.place_m), components(rotor.axis)
-        x, y = place[0], place[1]
-        speed = math.sqrt(thrust[i] / rotor.max_thrust_n)  # over the full one
-        speed_rate = (speed - math.sqrt(thrust_before[i] / rotor.max_thrust_n)) / makings.dt_s
+    for i in range(motion.thrust_n.shape[1]):
+        rotor = makings.rotors[n, i]
+        x, y, axis, speed = rotor.x_m, rotor.y_m, (rotor.axis_x, rotor.axis_y, rotor.axis_z), rotor.speed
         # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
         # damping of climb, roll and pitch; the axial speed is that of the hub.
         braking = -body.rotor_drag_n_s_per_m * speed
         axial = air[2] - (x * rate[1] - y * rate[0])
-        push = thrust[i] * thrust_factor(body, rotors_n, i, flow) - braking * axial
+        push = motion.thrust_n[n, i] * thrust_factor(body, makings.rotors, n, i, flow) - braking * axial
         hub_x, hub_y = air[0] - rate[2] * y, air[1] + rate[2] * x
         side_x, side_y = braking * hub_x, braking * hub_y
         flap_roll, flap_pitch = hub_moment(body, rotor, speed, hub_x, hub_y)
         # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
-        reaction = rotor.torque_per_thrust_m * push + body.rotor_momentum * speed_rate
+        reaction = rotor.torque_per_thrust_m * push + body.rotor_momentum * rotor.speed_rate_per_s
         force = add_scaled((force[0] + side_x, force[1] + side_y, force[2]), push, axis)
-        arm = cross(place, axis)
-        torque = add_scaled(add_scaled(torque, push, arm), -reaction * rotor.spin, axis)
+        torque = add_scaled(torque, push, cross((x, y, rotor.z_m), axis))
+        torque = add_scaled(torque, -reaction * rotor.spin, axis)
         torque = (
             torque[0] + rotor.hub_height_m * side_y + flap_roll,
             torque[1] - rotor.hub_height_m * side_x + flap_pitch,
@@ -200,19 +202,27 @@ def _wrench(
 
 @part
 def advance(
-    n: int, makings: Makings, motion: Motion, output: NDArray[np.float64], step: int, faults: tuple[Any, Any], wind: Vector
+    n: int,
+    makings: Makings,
+    motion: Motion,
+    output: NDArray[np.float64],
+    step: int,
+    faults: Faults,
+    k: int,
+    wind: Vector,
 ) -> None:
-    """One step of vehicle ``n``, the ``step``-th. ``output`` (m,) is what the autopilot drives the motors with;
-    ``faults``: effectiveness and stuck, (m,) each."""
+    """One step of vehicle ``n``, the ``step``-th.
+
+    ``output`` (N, m) is what the autopilot drives the motors with; ``k``: which of the ``faults``.
+    """
     dt, body = makings.dt_s, makings.bodies[n]
-    thrust_before = motion.thrust_n[n].copy()
     _send(n, makings, output, step)
-    mean_n = _spin_up(n, makings, motion, step, faults)
+    mean_n = _spin_up(n, makings, motion, step, faults, k)
     q = rotation.quaternion(motion.quaternion, n)
     rows = rotation.matrix(q)
     velocity, rate = vector(motion.velocity_m_s, n), vector(motion.rate_rad_s, n)
     air = to_body(rows, add_scaled(velocity, -1.0, wind))
-    force, torque, momentum = _wrench(n, makings, motion, thrust_before, air, mean_n)
+    force, torque, momentum = _wrench(n, makings, motion, air, mean_n)
     acceleration = to_ned(rows, force)
     mass = makings.mass_kg[n]
     acceleration = acceleration[0] / mass, acceleration[1] / mass, acceleration[2] / mass + GRAVITY_M_S2
@@ -255,11 +265,11 @@ def _advance_all(
     motion: Motion,
     output: NDArray[np.float64],
     step: int,
-    faults: tuple[NDArray[np.float64], NDArray[np.bool_]],
+    faults: Faults,
     wind: NDArray[np.float64],
 ) -> None:
     for n in range(len(output)):
-        advance(n, makings, motion, output[n], step, (faults[0][n], faults[1][n]), vector(wind, n))
+        advance(n, makings, motion, output, step, faults, 0, vector(wind, n))
 
 
 @kernel
@@ -294,7 +304,7 @@ class Plant:
     def prepare(self, state: PlantState) -> None:
         """Compile, or load, what ``step`` and ``specific_force`` run."""
         n, m = state.thrust_n.shape
-        faults = np.ones((n, m)), np.zeros((n, m), bool)
+        faults = Faults(np.ones((1, n, m)), np.zeros((1, n, m), bool))
         prepare(_advance_all, self.take(0)[0], state.motion(), np.zeros((n, m)), 0, faults, np.zeros((n, 3)))
         prepare(_specific_forces, state.motion(), np.zeros((n, 3)))
 
@@ -308,7 +318,7 @@ class Plant:
     ) -> None:
         """Advance ``state`` by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
         makings, step = self.take(1)
-        faults = flat(effectiveness), np.ascontiguousarray(stuck)
+        faults = Faults(flat(effectiveness)[None], np.ascontiguousarray(stuck)[None])
         _advance_all(makings, state.renewed(), flat(output), step, faults, flat(wind_m_s))
 
     def specific_force(self, state: PlantState) -> NDArray[np.float64]:

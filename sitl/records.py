@@ -36,14 +36,20 @@ BODY = np.dtype(
 )
 ROTOR = np.dtype(
     [
-        ("place_m", "f8", (3,)),  # hub, from the centre of mass, FRD
-        ("axis", "f8", (3,)),  # unit vector along which it pushes
+        ("x_m", "f8"),  # hub, from the centre of mass, FRD
+        ("y_m", "f8"),
+        ("z_m", "f8"),
+        ("axis_x", "f8"),  # unit vector along which it pushes
+        ("axis_y", "f8"),
+        ("axis_z", "f8"),
         ("spin", "f8"),
         ("max_thrust_n", "f8"),
         ("torque_per_thrust_m", "f8"),
         ("hub_height_m", "f8"),  # where side forces act, above the centre of mass
         ("share_up", "f8"),  # of the way to its target that the thrust makes in a step
         ("share_down", "f8"),
+        ("speed", "f8"),  # over the full one; the last step's, and its rate
+        ("speed_rate_per_s", "f8"),
     ]
 )
 
@@ -73,9 +79,9 @@ def bodies(p: PlantParameters, dt_s: float) -> NDArray[np.void]:
 def rotors(p: PlantParameters, dt_s: float) -> NDArray[np.void]:
     """(N, m) of ROTOR, for steps of ``dt_s``."""
     out = np.zeros((p.vehicles, p.motors), ROTOR)
-    out["place_m"][..., :2] = p.position_m
-    out["place_m"][..., 2] = p.down_m
-    out["axis"] = [0.0, 0.0, -1.0] if p.axis is None else p.axis
+    out["x_m"], out["y_m"], out["z_m"] = p.position_m[..., 0], p.position_m[..., 1], p.down_m
+    axis = np.array([0.0, 0.0, -1.0]) if p.axis is None else p.axis
+    out["axis_x"], out["axis_y"], out["axis_z"] = axis[..., 0], axis[..., 1], axis[..., 2]
     out["spin"], out["hub_height_m"] = p.spin, p.hub_height_m
     out["max_thrust_n"] = p.max_thrust_n
     out["torque_per_thrust_m"] = _per_motor(p.torque_per_thrust_m)

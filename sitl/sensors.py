@@ -14,7 +14,6 @@ from sitl.airframe import PlantParameters
 from sitl.compiled import kernel, part
 from sitl.noise import NormalBlocks
 from sitl.plant import Motion, PlantState, specific_force
-from sitl.rotation import put
 
 _GYRO_NOISE_RAD_S = 0.006
 _GYRO_BIAS_RAD_S = 0.003
@@ -47,7 +46,12 @@ SHAKER = np.dtype(
         ("full_speed_rad_s", "f8"),
         ("max_thrust_n", "f8"),
         ("phase", "f8"),
-        ("direction", "f8", (6,)),  # of what the rotor shakes: gyro, accelerometer
+        ("roll", "f8"),  # share of the gyro's shaking
+        ("pitch", "f8"),
+        ("yaw", "f8"),
+        ("x", "f8"),  # and of the accelerometer's
+        ("y", "f8"),
+        ("z", "f8"),
     ]
 )
 _WANDER = np.repeat([_ATTITUDE_NOISE_RAD, _POSITION_NOISE_M, _VELOCITY_NOISE_M_S], 3)
@@ -75,9 +79,7 @@ class Measured:
 
     def reading(self) -> Reading:
         """Its arrays."""
-        return Reading(
-            self.gyro_rad_s, self.specific_force_m_s2, self.quaternion, self.position_m, self.velocity_m_s
-        )
+        return Reading(self.gyro_rad_s, self.specific_force_m_s2, self.quaternion, self.position_m, self.velocity_m_s)
 
 
 class Reading(NamedTuple):
@@ -109,9 +111,7 @@ def low_pass(cutoff_hz: float, dt_s: float) -> tuple[float, float, float]:
 
 
 @part
-def _filtered(
-    coefficients: NDArray[np.float64], memory: NDArray[np.float64], axis: int, value: float
-) -> float:
+def _filtered(coefficients: NDArray[np.float64], memory: NDArray[np.float64], axis: int, value: float) -> float:
     """One sample through ``low_pass``."""
     b = coefficients[0]
     if b == 0.0:
@@ -125,55 +125,49 @@ def _filtered(
 @part
 def sample(n: int, instruments: Instruments, motion: Motion, reading: Reading, draw: int, step: int) -> None:
     """Sample the inertial sensors of vehicle ``n``; ``draw``: place of the step's noise."""
-    own, normal = instruments.sensors[n], instruments.noise[n, draw]
+    own, noise = instruments.sensors[n], instruments.noise
     x = y = z = p = q = r = 0.0
     for i in range(motion.thrust_n.shape[1]):
         shaker = instruments.shakers[n, i]
         squared = motion.thrust_n[n, i] / shaker.max_thrust_n  # of the rotor's speed over the full one
         phase = shaker.phase + own.dt_s * shaker.full_speed_rad_s * math.sqrt(squared)
-        phase %= _TURN
-        instruments.shakers[n, i].phase = phase
-        shake, direction = math.sin(phase) * squared, shaker.direction
-        p += shake * direction[0]
-        q += shake * direction[1]
-        r += shake * direction[2]
-        x += shake * direction[3]
-        y += shake * direction[4]
-        z += shake * direction[5]
+        while phase >= _TURN:
+            phase -= _TURN
+        shaker.phase = phase
+        shake = math.sin(phase) * squared
+        p += shake * shaker.roll
+        q += shake * shaker.pitch
+        r += shake * shaker.yaw
+        x += shake * shaker.x
+        y += shake * shaker.y
+        z += shake * shaker.z
     shaken, pushed, force = (p, q, r), (x, y, z), specific_force(n, motion)
     for k in range(3):
-        gyro = motion.rate_rad_s[n, k] + own.gyro_bias_rad_s[k] + _GYRO_NOISE_RAD_S * normal[k]
+        gyro = motion.rate_rad_s[n, k] + own.gyro_bias_rad_s[k] + _GYRO_NOISE_RAD_S * noise[n, draw, k]
         gyro += _VIBRATION_GYRO_RAD_S * shaken[k]
-        felt = force[k] + own.accelerometer_bias_m_s2[k] + _ACCELEROMETER_NOISE_M_S2 * normal[3 + k]
+        felt = force[k] + own.accelerometer_bias_m_s2[k] + _ACCELEROMETER_NOISE_M_S2 * noise[n, draw, 3 + k]
         felt += _VIBRATION_ACCELEROMETER_M_S2 * pushed[k]
         reading.gyro_rad_s[n, k] = _filtered(own.gyro_filter, own.gyro_memory, k, gyro)
         reading.specific_force_m_s2[n, k] = _filtered(own.accelerometer_filter, own.accelerometer_memory, k, felt)
     drive = math.sqrt(1 - own.decay * own.decay)
     for k in range(9):
-        own.wander[k] = own.decay * own.wander[k] + drive * _WANDER[k] * normal[6 + k]
-    past = instruments.past[n]
+        own.wander[k] = own.decay * own.wander[k] + drive * _WANDER[k] * noise[n, draw, 6 + k]
+    past = instruments.past
+    place = step % past.shape[1]
     for k in range(3):
-        past[step % len(past), k] = motion.position_m[n, k]
-        past[step % len(past), 3 + k] = motion.velocity_m_s[n, k]
+        past[n, place, k], past[n, place, 3 + k] = motion.position_m[n, k], motion.velocity_m_s[n, k]
 
 
 @part
 def estimate(n: int, instruments: Instruments, motion: Motion, reading: Reading, step: int) -> None:
     """The autopilot's own estimate of vehicle ``n`` after its ``step``-th sample."""
-    wander, past = instruments.sensors[n].wander, instruments.past[n]
-    oldest = (step + 1) % len(past) if step >= len(past) else 0
+    wander, past = instruments.sensors[n].wander, instruments.past
+    oldest = (step + 1) % past.shape[1] if step >= past.shape[1] else 0
     attitude = rotation.quaternion(motion.quaternion, n)
     rotation.put_quaternion(reading.quaternion, n, rotation.turned(attitude, rotation.components(wander)))
-    put(
-        reading.position_m,
-        n,
-        (past[oldest, 0] + wander[3], past[oldest, 1] + wander[4], past[oldest, 2] + wander[5]),
-    )
-    put(
-        reading.velocity_m_s,
-        n,
-        (past[oldest, 3] + wander[6], past[oldest, 4] + wander[7], past[oldest, 5] + wander[8]),
-    )
+    for k in range(3):
+        reading.position_m[n, k] = past[n, oldest, k] + wander[3 + k]
+        reading.velocity_m_s[n, k] = past[n, oldest, 3 + k] + wander[6 + k]
 
 
 @kernel
@@ -199,7 +193,9 @@ class Sensors:
         self._sensors["accelerometer_filter"] = low_pass(parameters.accelerometer_filter_hz, dt_s)
         self._sensors["decay"], self._sensors["dt_s"] = math.exp(-dt_s / _WANDER_TIME_S), dt_s
         self._shakers["phase"] = np.stack([g.uniform(0, 2 * math.pi, m) for g in generators])
-        self._shakers["direction"] = np.stack([g.standard_normal((m, 6)) for g in generators]) / math.sqrt(m)
+        direction = np.stack([g.standard_normal((m, 6)) for g in generators]) / math.sqrt(m)
+        for k, name in enumerate(("roll", "pitch", "yaw", "x", "y", "z")):
+            self._shakers[name] = direction[..., k]
         self._shakers["full_speed_rad_s"] = parameters.max_speed_rad_s
         self._shakers["max_thrust_n"] = parameters.max_thrust_n
         self._past = np.zeros((n, max(round(_ESTIMATOR_DELAY_S / dt_s), 1), 6))

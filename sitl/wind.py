@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.compiled import kernel, part
+from sitl.compiled import kernel, part, prepare
 from sitl.noise import NormalBlocks
 from sitl.rotation import Vector, put
 
@@ -122,6 +122,10 @@ class Wind:
         """For ``blow`` over that many steps: what it needs, and the place of the first one's noise."""
         draw = 0 if self._steady else self._noise.take(steps)
         return Air(self._winds, self._gusts, self._noise.buffer, self._steady), draw
+
+    def prepare(self) -> None:
+        """Compile, or load, what ``step`` runs."""
+        prepare(_blow_all, self.take(0)[0], 0, 0.0, np.empty((len(self._winds), 3)))
 
     def step(self, time_s: float) -> NDArray[np.float64]:
         """Advance by one plant step; returns wind (N, 3) in m/s, NED."""

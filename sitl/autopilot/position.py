@@ -94,12 +94,12 @@ def _follow_path(n: int, position: PositionArrays, place: Vector, velocity: Vect
     scale = square_root_controller(distance, 1.0, _CORRECTION_XY, dt_s) / max(distance, 1e-6)
     climb = square_root_controller(z, 1.0, _CORRECTION_Z, dt_s)
     ahead, along = vector(position.path_velocity, n), vector(position.path_acceleration, n)
-    loops, limited = position.loops[n], position.limited_xy[n]
-    north = pid(_VELOCITY_XY, loops[_NORTH], scale * x + ahead[0], velocity[0], limited, dt_s) + along[0]
-    east = pid(_VELOCITY_XY, loops[_EAST], scale * y + ahead[1], velocity[1], limited, dt_s) + along[1]
+    loops, limited = position.loops, position.limited_xy[n]
+    north = pid(_VELOCITY_XY, loops[n, _NORTH], scale * x + ahead[0], velocity[0], limited, dt_s) + along[0]
+    east = pid(_VELOCITY_XY, loops[n, _EAST], scale * y + ahead[1], velocity[1], limited, dt_s) + along[1]
     short_north, short_east = limit_length(north, east, _LEAN_MAX_M_S2)
     position.limited_xy[n] = short_north != north or short_east != east
-    up = -pid(_VELOCITY_Z, loops[_DOWN], climb + ahead[2], velocity[2], False, dt_s) - along[2]
+    up = -pid(_VELOCITY_Z, loops[n, _DOWN], climb + ahead[2], velocity[2], False, dt_s) - along[2]
     return short_north, short_east, up
 
 

@@ -13,12 +13,8 @@ from sitl.records import Record
 
 @part
 def clip(value: float, low: float, high: float) -> float:
-    """``value`` within bounds, of which the upper one counts where they cross; nan stays."""
-    if value < low:
-        value = low
-    if value > high:
-        value = high
-    return value
+    """``value`` within bounds; what is not a number stays."""
+    return low if value < low else high if value > high else value
 
 
 @part
