@@ -15,10 +15,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
-from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numpy.typing import NDArray
+
+from nff_companion.errors import MissingExtra
+
+try:
+    import numba
+    from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+except ImportError as error:
+    raise MissingExtra("the emulated vehicle needs numba: pip install 'nff-companion[sim]'") from error
 
 _FOLDER = Path(__file__).parent
 _Function = TypeVar("_Function", bound=Callable[..., Any])
