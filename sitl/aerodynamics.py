@@ -72,13 +72,14 @@ def thrust_factor(body: Record, rotors: NDArray[np.void], n: int, rotor: int, fl
     if flow.wakes == 0.0:
         return flow.lift * flow.cushion
     x, y, radius = rotors[n, rotor].x_m, rotors[n, rotor].y_m, body.rotor_radius_m
+    across, steep = 1.0 / radius, flow.sink / (_WAKE_DEPTH_RADII * radius)
     nearest = math.inf  # to the middle of a wake: squared, over its widths
     for other in range(rotors.shape[1]):
         dx, dy = rotors[n, other].x_m - x, rotors[n, other].y_m - y
         distance = flow.along_x * dx + flow.along_y * dy  # of the other ahead of this one, along the stream
         if distance > _BEHIND_RADII * radius:
-            offset = (flow.along_x * dy - flow.along_y * dx) / radius
-            depth = distance * flow.sink / (_WAKE_DEPTH_RADII * radius)
+            offset = (flow.along_x * dy - flow.along_y * dx) * across
+            depth = distance * steep
             nearest = min(nearest, depth * depth + offset * offset)
     return (flow.lift - flow.wakes * math.exp(-nearest)) * flow.cushion
 

@@ -15,6 +15,7 @@ from sitl.faults import Fault, FaultSchedule
 from sitl.fleet import Fleet, FleetOptions
 from sitl.noise import NormalBlocks, vehicle_generators
 from sitl.serve.physics import Physics, PhysicsOptions
+from sitl.trials.warm_up import compile_all
 
 KERNELS: tuple[Any, ...] = (
     fleet._fly,
@@ -33,8 +34,8 @@ def flying(name: str = "octo-x", vehicles: int = 1, **options: Any) -> Fleet:
 
 
 def test_every_airframe_and_number_of_vehicles_flies_by_the_same_machine_code() -> None:
+    compile_all()
     gusts = np.array([[0.0, 0.0, 1.0, 1.0, 2.0, 3.0]])
-    flying().step()
     flying("coax-x8", 3, turbulence_m_s=1.0, gusts=gusts).step()
     flying("hexa-x", 2, wind_m_s=[1.0, 2.0], turbulence_m_s=[0.0, 1.0]).step()
     physics = Physics(airframe.load(vehicle.path_of("h250")), PhysicsOptions())
