@@ -15,6 +15,7 @@ $(STAMP): requirements.lock pyproject.toml hatch_build.py mavlink_dialect/nff.xm
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	$(BIN)/python mavlink_dialect/generate.py > /dev/null 2>&1
+	$(BIN)/python -m sitl.trials.warm_up
 	touch $(STAMP)
 
 demo: env

@@ -12,6 +12,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import plant
 
 from nff_companion.companion import Companion
 from nff_companion.condition import Condition, Mode
@@ -64,6 +65,10 @@ def main() -> int:
         },
         "allocation": {"trim_median_us_max": trim, "trim_over_pinv_max": round(trim / pinv, 2)},
         "adaptation": {"median_us_max": adaptation["median_us"], "over_solve_max": adaptation["over_solve"]},
+        "plant": {
+            "cycle_over_solve_max": plant.measure(1)["over_solve"],
+            "fleet_over_solve_max": plant.measure(64)["over_solve"],
+        },
         "step": {"step_over_solve_max": round(step_over_solve(), 2)},
     }
     broken = [

@@ -43,6 +43,7 @@ class FaultSchedule:
         self._effectiveness = np.ones((vehicles, motors))
         self._stuck = np.zeros((vehicles, motors), bool)
         self._next_change_s = -math.inf
+        self._while_unchanged: tuple[NDArray[np.float64], NDArray[np.bool_]] | None = None
 
     def add(self, fault: Fault) -> None:
         """One more fault."""
@@ -73,6 +74,17 @@ class FaultSchedule:
             self._effectiveness[index] *= value
             self._stuck[index] |= fault.kind == "stuck"
         return self._effectiveness, self._stuck
+
+    def over(self, times_s: list[float]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """As ``at``, for rising times: (K, N, m) each."""
+        if times_s[-1] < self._next_change_s:
+            if self._while_unchanged is None:
+                many = len(times_s), 1, 1
+                self._while_unchanged = np.tile(self._effectiveness, many), np.tile(self._stuck, many)
+            return self._while_unchanged
+        self._while_unchanged = None
+        effectiveness, stuck = zip(*(self.at(time_s) for time_s in times_s), strict=True)
+        return np.stack(effectiveness), np.stack(stuck)
 
     @staticmethod
     def _value(fault: Fault, elapsed_s: float) -> tuple[float, float]:

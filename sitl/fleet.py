@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +12,20 @@ from numpy.typing import NDArray
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 from sitl.autopilot.autopilot import Autopilot, Mode
+from sitl.compiled import kernel, part, prepare
 from sitl.faults import Fault, FaultSchedule
 from sitl.noise import vehicle_generators
-from sitl.plant import Plant, initial_state
-from sitl.sensors import Sensors
+from sitl.plant import Faults, Makings, Motion, Plant, advance, initial_state
+from sitl.sensors import Instruments, Reading, Sensors, estimate, sample
 from sitl.uncertainty import UNCERTAINTY_STREAM, Uncertainty
-from sitl.wind import Wind
+from sitl.wind import Air, Wind, blow
 
 PLANT_RATE_HZ = 1200
 AUTOPILOT_RATE_HZ = 400
 _RATIO = PLANT_RATE_HZ // AUTOPILOT_RATE_HZ
-CRASH_TILT_RAD = np.radians(90.0)
+CRASH_TILT_RAD = math.radians(90.0)
+_GUIDED = int(Mode.GUIDED)
+Places: TypeAlias = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +62,59 @@ def learned_hover_throttle(nominal: PlantParameters, true: PlantParameters) -> N
     return np.where(same, fraction, throttle)
 
 
+class Flown(NamedTuple):
+    """The vehicles and what is about them."""
+
+    makings: Makings
+    motion: Motion
+    air: Air
+    instruments: Instruments
+    reading: Reading
+
+
+class Watch(NamedTuple):
+    """By what a crash is told."""
+
+    armed: NDArray[np.bool_]  # (N,)
+    mode: NDArray[np.int64]  # (N,)
+    path: NDArray[np.float64]  # (N, 3)
+    max_tilt_rad: NDArray[np.float64]  # (N,)
+
+
+class Course(NamedTuple):
+    """What happens to them in one cycle of the autopilot, of K plant steps."""
+
+    output: NDArray[np.float64]  # (N, m)
+    faults: Faults
+    time_s: float
+
+
+@part
+def _judge(n: int, motion: Motion, watch: Watch) -> None:
+    """Latch a crash: ground contact other than a commanded landing, or tilt past 90 degrees."""
+    tilt = rotation.tilt(rotation.quaternion(motion.quaternion, n))
+    if not motion.crashed[n]:
+        watch.max_tilt_rad[n] = max(watch.max_tilt_rad[n], tilt)
+    airborne = watch.armed[n] and watch.mode[n] == _GUIDED and watch.path[n, 2] < -1.0
+    motion.crashed[n] = motion.crashed[n] or tilt > CRASH_TILT_RAD or (motion.on_ground[n] and airborne)
+
+
+@kernel
+def _fly(flown: Flown, watch: Watch, course: Course, places: Places) -> None:
+    """One cycle of the autopilot. ``places``: number of the plant's step, of the wind's and the sensors' noise, and of
+    the sensors' step, each of the first."""
+    makings, motion, air, instruments, reading = flown
+    step, gust, draw, number = places
+    steps = len(course.faults.stuck)
+    for n in range(len(course.output)):
+        for k in range(steps):
+            wind = blow(n, air, gust + k, course.time_s + k / PLANT_RATE_HZ)
+            advance(n, makings, motion, course.output, step + k, course.faults, k, wind)
+            sample(n, instruments, motion, reading, draw + k, number + k)
+        estimate(n, instruments, motion, reading, number + steps - 1)
+        _judge(n, motion, watch)
+
+
 class Fleet:
     """``step`` advances one autopilot period (2.5 ms). Crashed vehicles stay where they fell.
 
@@ -91,9 +149,9 @@ class Fleet:
             if not nominal.alike:
                 one = (true.mass_kg * GRAVITY_M_S2 / true.lift_n)[:, None] * true.max_thrust_n
             self.state.thrust_n[:] = np.minimum(one, true.max_thrust_n)
-        for _ in range(PLANT_RATE_HZ // 20):  # the filters settle before the autopilot looks
-            self.sensors.step(self.state, self.plant.specific_force(self.state))
-        self.sensors.estimate(self.state)
+        self.sensors.settle(self.state, PLANT_RATE_HZ // 20)  # the filters, before the autopilot looks
+        self.autopilot.prepare(self.sensors.measured)
+        prepare(_fly, *self._course(self.autopilot.output, 0))
         if self._in_air_start:
             self.autopilot.start_in_air(self.sensors.measured)
 
@@ -110,19 +168,18 @@ class Fleet:
     def step(self) -> None:
         """One autopilot cycle and the plant steps that follow it."""
         output = self.autopilot.step(self.sensors.measured, self.time_s)
-        for k in range(_RATIO):
-            time_s = self.time_s + k / PLANT_RATE_HZ
-            effectiveness, stuck = self.faults.at(time_s)
-            self.plant.step(self.state, output, effectiveness, stuck, self.wind.step(time_s))
-            self.sensors.step(self.state, self.plant.specific_force(self.state))
-        self.sensors.estimate(self.state)
+        _fly(*self._course(output, _RATIO))
         self.cycle += 1
-        self._judge()
 
-    def _judge(self) -> None:
-        """Latch crashes: ground contact other than a commanded landing, or tilt past 90 degrees."""
-        state, autopilot = self.state, self.autopilot
-        tilt = rotation.tilt_of(state.quaternion)
-        self.max_tilt_rad = np.where(state.crashed, self.max_tilt_rad, np.maximum(self.max_tilt_rad, tilt))
-        airborne = autopilot.armed & (autopilot.mode == Mode.GUIDED) & (autopilot.position.path[:, 2] < -1.0)
-        state.crashed = state.crashed | (tilt > CRASH_TILT_RAD) | (state.on_ground & airborne)
+    def _course(self, output: NDArray[np.float64], steps: int) -> tuple[Flown, Watch, Course, Places]:
+        """Arguments of ``_fly``; ``steps`` 0: to look at, nothing is taken."""
+        autopilot = self.autopilot
+        times = [self.time_s + k / PLANT_RATE_HZ for k in range(_RATIO)]
+        makings, step = self.plant.take(steps)
+        air, gust_draw = self.wind.take(steps)
+        instruments, (draw, number) = self.sensors.take(steps)
+        self.max_tilt_rad = self.max_tilt_rad.copy()
+        flown = Flown(makings, self.state.renewed(), air, instruments, self.sensors.measured.renewed())
+        watch = Watch(autopilot.armed, autopilot.mode, autopilot.position.path, self.max_tilt_rad)
+        course = Course(output, Faults(*self.faults.over(times)), self.time_s)
+        return flown, watch, course, (step, gust_draw, draw, number)

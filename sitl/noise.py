@@ -12,17 +12,28 @@ def vehicle_generators(seeds: list[int], stream: int) -> list[np.random.Generato
 
 
 class NormalBlocks:
-    """Standard normal draws (N, width) a step, taken from each vehicle's generator in blocks."""
+    """Standard normal draws (N, width) a step, taken from each vehicle's generator in blocks.
+
+    ``buffer`` (N, block, width) holds those of many steps; what was taken is overwritten when it has run out.
+    """
 
     def __init__(self, generators: list[np.random.Generator], width: int, block: int = 256) -> None:
-        self._generators, self._width, self._block = generators, width, block
-        self._buffer = np.empty((0, len(generators), width))
-        self._index = 0
+        self._generators = generators
+        self.buffer = np.zeros((len(generators), block, width))
+        self._index = block
+
+    def take(self, steps: int) -> int:
+        """The draws of the next ``steps`` are at this place in ``buffer``, one after the other, until the next call."""
+        block = self.buffer.shape[1]
+        if self._index + steps > block:
+            left = block - self._index
+            self.buffer[:, :left] = self.buffer[:, self._index :].copy()
+            for rows, generator in zip(self.buffer, self._generators, strict=True):
+                generator.standard_normal(out=rows[left:])
+            self._index = 0
+        self._index += steps
+        return self._index - steps
 
     def next(self) -> NDArray[np.float64]:
         """Draws (N, width) of the next step."""
-        if self._index >= len(self._buffer):
-            self._buffer = np.stack([g.standard_normal((self._block, self._width)) for g in self._generators], axis=1)
-            self._index = 0
-        self._index += 1
-        return self._buffer[self._index - 1]
+        return self.buffer[:, self.take(1)].copy()

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl import rotation
-from sitl.aerodynamics import Aerodynamics
+from sitl.aerodynamics import airframe_drag, hub_moment, stream, thrust_factor
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
+from sitl.compiled import flat, kernel, part, prepare
+from sitl.records import bodies, rotors
+from sitl.rotation import Vector, add_scaled, components, cross, put, scaled, to_body, to_ned, vector
 
 _BATTERY_SAG = 0.06  # loss of full-charge voltage at full load
 _BATTERY_DRAIN_PER_S = 3.0e-5  # of full-charge voltage, per second at full load
@@ -17,7 +22,10 @@ _BATTERY_DRAIN_PER_S = 3.0e-5  # of full-charge voltage, per second at full load
 
 @dataclass(slots=True)
 class PlantState:
-    """NED position and velocity, body-to-NED quaternion, body rates, thrust of each rotor, battery."""
+    """NED position and velocity, body-to-NED quaternion, body rates, thrust of each rotor, battery.
+
+    A step gives each field a new array: who keeps one keeps what it was.
+    """
 
     position_m: NDArray[np.float64]  # (N, 3)
     velocity_m_s: NDArray[np.float64]  # (N, 3)
@@ -29,6 +37,62 @@ class PlantState:
     acceleration_m_s2: NDArray[np.float64]  # (N, 3) NED, gravity included, of the last step
     on_ground: NDArray[np.bool_]  # (N,) bool
     crashed: NDArray[np.bool_]  # (N,) bool, latched
+
+    def renewed(self) -> Motion:
+        """Its arrays after each was replaced by a copy, to be written."""
+        self.position_m, self.velocity_m_s = self.position_m.copy(), self.velocity_m_s.copy()
+        self.quaternion, self.rate_rad_s = self.quaternion.copy(), self.rate_rad_s.copy()
+        self.thrust_n, self.held_command = self.thrust_n.copy(), self.held_command.copy()
+        self.battery, self.acceleration_m_s2 = self.battery.copy(), self.acceleration_m_s2.copy()
+        self.on_ground, self.crashed = self.on_ground.copy(), self.crashed.copy()
+        return self.motion()
+
+    def motion(self) -> Motion:
+        """Its arrays."""
+        return Motion(
+            self.position_m,
+            self.velocity_m_s,
+            self.quaternion,
+            self.rate_rad_s,
+            self.thrust_n,
+            self.held_command,
+            self.battery,
+            self.acceleration_m_s2,
+            self.on_ground,
+            self.crashed,
+        )
+
+
+class Motion(NamedTuple):
+    """The arrays of ``PlantState``."""
+
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64]
+    thrust_n: NDArray[np.float64]
+    held_command: NDArray[np.float64]
+    battery: NDArray[np.float64]
+    acceleration_m_s2: NDArray[np.float64]
+    on_ground: NDArray[np.bool_]
+    crashed: NDArray[np.bool_]
+
+
+class Makings(NamedTuple):
+    """What the plant is made of, and what is under way in it."""
+
+    bodies: NDArray[np.void]  # (N,) of BODY
+    rotors: NDArray[np.void]  # (N, m) of ROTOR
+    mass_kg: NDArray[np.float64]  # (N,)
+    outputs: NDArray[np.float64]  # (N, steps, m) a ring of those under way to the motors
+    dt_s: float
+
+
+class Faults(NamedTuple):
+    """Of K steps."""
+
+    effectiveness: NDArray[np.float64]  # (K, N, m)
+    stuck: NDArray[np.bool_]  # (K, N, m)
 
 
 def full_load_share() -> float:
@@ -55,33 +119,163 @@ def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad
     )
 
 
-def _per_motor(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) or (N, m) as (N, 1) or (N, m)."""
-    return value[:, None] if value.ndim == 1 else value
+def _fraction(output: Any, idle: Any, full: Any, expo: Any) -> Any:
+    """Thrust over full thrust of outputs, numbers or arrays."""
+    c = np.minimum(np.maximum((output - idle) / (full - idle), 0.0), 1.0)
+    return (1 - expo) * c + expo * c * c
 
 
-def _moment(push: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum over motors (N,) of ``push`` (N, m) times ``arm``, (m,) for all or (N, m)."""
-    return push @ arm if arm.ndim == 1 else np.vecdot(push, arm)
+_compiled_fraction = part(_fraction)
 
 
-class _DelayLine:
-    """Motor outputs ``delay_s`` (N,) later, linear between steps; what was before the first is like the first."""
+@part
+def _send(n: int, makings: Makings, output: NDArray[np.float64], step: int) -> None:
+    """Send ``output[n]`` to the motors; what was before the first is like the first."""
+    ring = makings.outputs
+    for place in range(ring.shape[1]):
+        if step == 0 or place == step % ring.shape[1]:
+            for i in range(output.shape[1]):
+                ring[n, place, i] = output[n, i]
 
-    def __init__(self, delay_s: NDArray[np.float64], dt_s: float) -> None:
-        steps = delay_s / dt_s
-        whole = np.floor(steps).astype(int)
-        self._vehicle = np.arange(len(steps))
-        self._late, self._share = whole, (steps - whole)[:, None]
-        self._kept: NDArray[np.float64] | None = None  # (steps, N, m), newest first
 
-    def step(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the motors hear (N, m) while ``output`` (N, m) is sent."""
-        if self._kept is None:
-            self._kept = np.tile(output, (int(self._late.max()) + 2, 1, 1))
-        self._kept = np.concatenate([output[None], self._kept[:-1]])
-        younger, older = self._kept[self._late, self._vehicle], self._kept[self._late + 1, self._vehicle]
-        return younger + self._share * (older - younger)
+@part
+def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: Faults, k: int) -> float:
+    """Thrust and speed of each rotor, towards what the motors hear now; returns the mean thrust in N."""
+    body, ring, thrust, held = makings.bodies[n], makings.outputs, motion.thrust_n, motion.held_command
+    size, late, share_late, motors = ring.shape[1], body.late_steps, body.late_share, thrust.shape[1]
+    younger, older = (step - late) % size, (step - late - 1) % size
+    load = 0.0
+    for i in range(motors):
+        load += thrust[n, i]
+    load /= body.lift_n
+    motion.battery[n] -= _BATTERY_DRAIN_PER_S * load * makings.dt_s
+    voltage = motion.battery[n] - _BATTERY_SAG * load
+    total = 0.0
+    for i in range(motors):
+        rotor, before = makings.rotors[n, i], thrust[n, i]
+        if not faults.stuck[k, n, i]:
+            held[n, i] = ring[n, younger, i] + share_late * (ring[n, older, i] - ring[n, younger, i])
+        fraction = _compiled_fraction(held[n, i], body.spin_min, body.spin_max, body.thrust_expo)
+        target = rotor.max_thrust_n * fraction * faults.effectiveness[k, n, i] * (voltage * voltage)
+        after = before + (rotor.share_up if target > before else rotor.share_down) * (target - before)
+        thrust[n, i] = after
+        total += after
+        rotor.speed = math.sqrt(after / rotor.max_thrust_n)
+        rotor.speed_rate_per_s = (rotor.speed - math.sqrt(before / rotor.max_thrust_n)) / makings.dt_s
+    return total / motors
+
+
+@part
+def _wrench(n: int, makings: Makings, motion: Motion, air: Vector, mean_n: float) -> tuple[Vector, Vector, Vector]:
+    """Force without weight, torque, and angular momentum of the rotors, in the body frame.
+
+    ``air``: velocity through it; ``mean_n``: mean thrust.
+    """
+    body, rate = makings.bodies[n], vector(motion.rate_rad_s, n)
+    flow = stream(body, mean_n, air, -motion.position_m[n, 2])
+    drag = airframe_drag(body, air)
+    force, torque, momentum = drag, cross(components(body.pressure_centre_m), drag), (0.0, 0.0, 0.0)
+    for i in range(motion.thrust_n.shape[1]):
+        rotor = makings.rotors[n, i]
+        x, y, axis, speed = rotor.x_m, rotor.y_m, (rotor.axis_x, rotor.axis_y, rotor.axis_z), rotor.speed
+        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
+        # damping of climb, roll and pitch; the axial speed is that of the hub.
+        braking = -body.rotor_drag_n_s_per_m * speed
+        axial = air[2] - (x * rate[1] - y * rate[0])
+        push = motion.thrust_n[n, i] * thrust_factor(body, makings.rotors, n, i, flow) - braking * axial
+        hub_x, hub_y = air[0] - rate[2] * y, air[1] + rate[2] * x
+        side_x, side_y = braking * hub_x, braking * hub_y
+        flap_roll, flap_pitch = hub_moment(body, rotor, speed, hub_x, hub_y)
+        # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
+        reaction = rotor.torque_per_thrust_m * push + body.rotor_momentum * rotor.speed_rate_per_s
+        force = add_scaled((force[0] + side_x, force[1] + side_y, force[2]), push, axis)
+        torque = add_scaled(torque, push, cross((x, y, rotor.z_m), axis))
+        torque = add_scaled(torque, -reaction * rotor.spin, axis)
+        torque = (
+            torque[0] + rotor.hub_height_m * side_y + flap_roll,
+            torque[1] - rotor.hub_height_m * side_x + flap_pitch,
+            torque[2] + side_y * x - side_x * y,
+        )
+        momentum = add_scaled(momentum, body.rotor_momentum * speed * rotor.spin, axis)
+    return force, torque, momentum
+
+
+@part
+def advance(
+    n: int,
+    makings: Makings,
+    motion: Motion,
+    output: NDArray[np.float64],
+    step: int,
+    faults: Faults,
+    k: int,
+    wind: Vector,
+) -> None:
+    """One step of vehicle ``n``, the ``step``-th.
+
+    ``output`` (N, m) is what the autopilot drives the motors with; ``k``: which of the ``faults``.
+    """
+    dt, body = makings.dt_s, makings.bodies[n]
+    _send(n, makings, output, step)
+    mean_n = _spin_up(n, makings, motion, step, faults, k)
+    q = rotation.quaternion(motion.quaternion, n)
+    rows = rotation.matrix(q)
+    velocity, rate = vector(motion.velocity_m_s, n), vector(motion.rate_rad_s, n)
+    air = to_body(rows, add_scaled(velocity, -1.0, wind))
+    force, torque, momentum = _wrench(n, makings, motion, air, mean_n)
+    acceleration = to_ned(rows, force)
+    mass = makings.mass_kg[n]
+    acceleration = acceleration[0] / mass, acceleration[1] / mass, acceleration[2] / mass + GRAVITY_M_S2
+    if motion.crashed[n] or (motion.on_ground[n] and acceleration[2] >= 0.0):
+        acceleration = velocity = rate = (0.0, 0.0, 0.0)
+    else:
+        inertia = components(body.inertia_kg_m2)
+        momentum = (
+            inertia[0] * rate[0] + momentum[0],
+            inertia[1] * rate[1] + momentum[1],
+            inertia[2] * rate[2] + momentum[2],
+        )
+        turning = add_scaled(torque, -1.0, cross(rate, momentum))
+        rate = (
+            rate[0] + dt * (turning[0] / inertia[0]),
+            rate[1] + dt * (turning[1] / inertia[1]),
+            rate[2] + dt * (turning[2] / inertia[2]),
+        )
+        velocity = add_scaled(velocity, dt, acceleration)
+    position = add_scaled(vector(motion.position_m, n), dt, velocity)
+    put(motion.acceleration_m_s2, n, acceleration)
+    put(motion.velocity_m_s, n, velocity)
+    put(motion.rate_rad_s, n, rate)
+    rotation.put_quaternion(motion.quaternion, n, rotation.turned(q, scaled(dt, rate)))
+    # The ground holds what stands on it, level as it stood.
+    motion.on_ground[n] = position[2] >= 0.0
+    put(motion.position_m, n, (position[0], position[1], min(position[2], 0.0)))
+
+
+@part
+def specific_force(n: int, motion: Motion) -> Vector:
+    """What an ideal accelerometer in the centre of mass reads, body frame, m/s^2."""
+    x, y, z = vector(motion.acceleration_m_s2, n)
+    return to_body(rotation.matrix(rotation.quaternion(motion.quaternion, n)), (x, y, z - GRAVITY_M_S2))
+
+
+@kernel
+def _advance_all(
+    makings: Makings,
+    motion: Motion,
+    output: NDArray[np.float64],
+    step: int,
+    faults: Faults,
+    wind: NDArray[np.float64],
+) -> None:
+    for n in range(len(output)):
+        advance(n, makings, motion, output, step, faults, 0, vector(wind, n))
+
+
+@kernel
+def _specific_forces(motion: Motion, out: NDArray[np.float64]) -> None:
+    for n in range(len(out)):
+        put(out, n, specific_force(n, motion))
 
 
 class Plant:
@@ -92,31 +286,27 @@ class Plant:
     def __init__(self, parameters: PlantParameters, dt_s: float) -> None:
         self.parameters, self.dt_s = parameters, dt_s
         self.mass_kg = parameters.mass_kg.copy()
-        self._x, self._y = parameters.position_m[..., 0], parameters.position_m[..., 1]
-        self._arm = np.stack([-self._y, self._x], axis=-1)  # roll, pitch torque per N of thrust, (m, 2) or (N, m, 2)
-        down = np.broadcast_to(parameters.down_m, self._x.shape)
-        self._hub = np.stack([self._x, self._y, down], axis=-1)  # (m, 3) or (N, m, 3)
-        self._lift = parameters.max_thrust_n.sum(axis=1)  # (N,) N
-        self._spin_min, self._expo = parameters.spin_min[:, None], parameters.thrust_expo[:, None]
-        self._rotor_momentum = parameters.rotor_inertia_kg_m2 * parameters.max_speed_rad_s  # of one at full speed
-        self._torque_per_thrust = _per_motor(parameters.torque_per_thrust_m)
-        self._line = _DelayLine(parameters.output_delay_s, dt_s) if parameters.output_delay_s.any() else None
-        self._aerodynamics = Aerodynamics(parameters)
-        with np.errstate(divide="ignore"):
-            self._share_up = 1 - np.exp(-dt_s / _per_motor(parameters.time_constant_up_s))
-            self._share_down = 1 - np.exp(-dt_s / _per_motor(parameters.time_constant_down_s))
+        self._bodies, self._rotors = bodies(parameters, dt_s), rotors(parameters, dt_s)
+        late = int(self._bodies["late_steps"].max())
+        self._outputs = np.zeros((parameters.vehicles, late + 2, parameters.motors))
+        self._step = 0
 
     def thrust_fraction(self, output: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust over full thrust of the motor output (N, m) in 0..1 (command to thrust curve)."""
-        idle, expo = self._spin_min, self._expo
-        c = np.minimum(np.maximum((output - idle) / (self.parameters.spin_max - idle), 0.0), 1.0)
-        return (1 - expo) * c + expo * c * c
+        p = self.parameters
+        return np.asarray(_fraction(output, p.spin_min[:, None], p.spin_max, p.thrust_expo[:, None]))
 
-    def _climb_of_hubs(self, rate_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Speed (N, m) of the hubs against +z by roll and pitch."""
-        if self._arm.ndim == 2:
-            return rate_rad_s[:, :2] @ self._arm.T
-        return np.matvec(self._arm, rate_rad_s[:, :2])
+    def take(self, steps: int) -> tuple[Makings, int]:
+        """For ``advance`` over that many steps: what it needs, and the number of the first."""
+        self._step += steps
+        return Makings(self._bodies, self._rotors, flat(self.mass_kg), self._outputs, self.dt_s), self._step - steps
+
+    def prepare(self, state: PlantState) -> None:
+        """Compile, or load, what ``step`` and ``specific_force`` run."""
+        n, m = state.thrust_n.shape
+        faults = Faults(np.ones((1, n, m)), np.zeros((1, n, m), bool))
+        prepare(_advance_all, self.take(0)[0], state.motion(), np.zeros((n, m)), 0, faults, np.zeros((n, 3)))
+        prepare(_specific_forces, state.motion(), np.zeros((n, 3)))
 
     def step(
         self,
@@ -126,96 +316,13 @@ class Plant:
         stuck: NDArray[np.bool_],
         wind_m_s: NDArray[np.float64],
     ) -> None:
-        """Advance ``state`` in place by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
-        p, dt = self.parameters, self.dt_s
-        if self._line is not None:
-            output = self._line.step(output)
-        state.held_command = np.where(stuck, state.held_command, output)
-        load = state.thrust_n.sum(axis=1) / self._lift
-        state.battery = state.battery - _BATTERY_DRAIN_PER_S * load * dt
-        voltage = state.battery - _BATTERY_SAG * load
-        target = p.max_thrust_n * self.thrust_fraction(state.held_command) * effectiveness * (voltage**2)[:, None]
-        share = np.where(target > state.thrust_n, self._share_up, self._share_down)
-        thrust_before = state.thrust_n
-        state.thrust_n = thrust_before + share * (target - thrust_before)
-
-        matrix = rotation.to_matrix(state.quaternion)
-        air = np.vecmat(state.velocity_m_s - wind_m_s, matrix)  # air speed in the body frame
-        speed = np.sqrt(state.thrust_n / p.max_thrust_n)  # rotor speed over full speed
-        speed_rate = (speed - np.sqrt(thrust_before / p.max_thrust_n)) / dt
-        force, torque = self._wrench(state, air, speed, speed_rate)
-        # Rotors turn against their reaction torque: spin +1 spins about -z, or along the axis.
-        momentum = p.inertia_kg_m2 * state.rate_rad_s
-        if p.axis is None:
-            momentum[:, 2] -= self._rotor_momentum * (speed @ p.spin)
-        else:
-            momentum += self._rotor_momentum * ((speed * p.spin) @ p.axis)
-        rate_dot = (torque - rotation.cross(state.rate_rad_s, momentum)) / p.inertia_kg_m2
-
-        acceleration = np.matvec(matrix, force) / self.mass_kg[:, None]
-        acceleration[:, 2] += GRAVITY_M_S2
-        flying = ~(state.on_ground & (acceleration[:, 2] >= 0.0)) & ~state.crashed
-        fly = flying[:, None]
-        state.acceleration_m_s2 = np.where(fly, acceleration, 0.0)
-        state.velocity_m_s = np.where(fly, state.velocity_m_s + dt * acceleration, 0.0)
-        state.position_m = state.position_m + dt * state.velocity_m_s
-        state.rate_rad_s = np.where(fly, state.rate_rad_s + dt * rate_dot, 0.0)
-        turned = rotation.multiply(state.quaternion, rotation.from_rotation_vector(dt * state.rate_rad_s))
-        state.quaternion = rotation.normalise(turned)
-        state.on_ground = state.position_m[:, 2] >= 0.0
-        # The ground holds what stands on it, level as it stood.
-        state.position_m[:, 2] = np.minimum(state.position_m[:, 2], 0.0)
-
-    def _wrench(
-        self,
-        state: PlantState,
-        air: NDArray[np.float64],
-        speed: NDArray[np.float64],
-        speed_rate: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Force without weight, and torque, (N, 3) each in the body frame.
-
-        ``air`` (N, 3): velocity through it; ``speed`` (N, m) of the rotors over the full one, and its rate.
-        """
-        p = self.parameters
-        # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
-        # damping of climb, roll and pitch; the axial speed is that of the hub.
-        braking = -p.rotor_drag_n_s_per_m * speed
-        axial = air[:, 2:3] - self._climb_of_hubs(state.rate_rad_s)
-        drawn = self._aerodynamics.rotor_thrust(state.thrust_n, air, -state.position_m[:, 2])
-        thrust = drawn - braking * axial
-
-        drag = self._aerodynamics.airframe_drag(air)
-        hub_x = air[:, :1] - state.rate_rad_s[:, 2:] * self._y
-        hub_y = air[:, 1:2] + state.rate_rad_s[:, 2:] * self._x
-        push_x, push_y = braking * hub_x, braking * hub_y
-        side_x, side_y = push_x.sum(axis=1), push_y.sum(axis=1)
-        force = drag.copy()
-        force[:, 0] += side_x
-        force[:, 1] += side_y
-        reaction = self._torque_per_thrust * thrust + self._rotor_momentum * speed_rate
-        torque = np.empty_like(state.rate_rad_s)
-        if p.axis is None:
-            force[:, 2] -= thrust.sum(axis=1)
-            torque[:, :2] = thrust @ self._arm if self._arm.ndim == 2 else np.vecmat(thrust, self._arm)
-            torque[:, 2] = reaction @ p.spin
-        else:
-            push = thrust[..., None] * p.axis
-            force += push.sum(axis=1)
-            torque[:] = (rotation.cross(self._hub, push) - (reaction * p.spin)[..., None] * p.axis).sum(axis=1)
-        flap_roll, flap_pitch = self._aerodynamics.hub_moment(speed, hub_x, hub_y)
-        if isinstance(p.hub_height_m, float):
-            torque[:, 0] += p.hub_height_m * side_y + flap_roll
-            torque[:, 1] += flap_pitch - p.hub_height_m * side_x
-        else:
-            torque[:, 0] += push_y @ p.hub_height_m + flap_roll
-            torque[:, 1] += flap_pitch - push_x @ p.hub_height_m
-        torque[:, 2] = torque[:, 2] + _moment(push_y, self._x) - _moment(push_x, self._y)
-        torque += rotation.cross(p.pressure_centre_m, drag)
-        return force, torque
+        """Advance ``state`` by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
+        makings, step = self.take(1)
+        faults = Faults(flat(effectiveness)[None], np.ascontiguousarray(stuck)[None])
+        _advance_all(makings, state.renewed(), flat(output), step, faults, flat(wind_m_s))
 
     def specific_force(self, state: PlantState) -> NDArray[np.float64]:
         """What an ideal accelerometer in the centre of mass reads, (N, 3), body frame, m/s^2."""
-        without_gravity = state.acceleration_m_s2.copy()
-        without_gravity[:, 2] -= GRAVITY_M_S2
-        return np.vecmat(without_gravity, rotation.to_matrix(state.quaternion))
+        out = np.empty((state.battery.size, 3))
+        _specific_forces(state.motion(), out)
+        return out

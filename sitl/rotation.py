@@ -1,105 +1,44 @@
-"""Quaternions (w, x, y, z), body to NED, over arrays (..., 4)."""
+"""Quaternions (w, x, y, z), body to NED: as tuples in what is compiled, over arrays (..., 4) for all others."""
 
 from __future__ import annotations
+
+import math
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.compiled import part
 
-def _table(shape: tuple[int, ...], entries: dict[tuple[int, ...], float]) -> NDArray[np.float64]:
-    """Coefficients of a bilinear form: ``shape`` is (left, right, out); flat over the first two."""
-    table = np.zeros(shape)
-    for place, value in entries.items():
-        table[place] = value
-    return table.reshape(shape[0] * shape[1], shape[2])
-
-
-# Products of small vectors as one outer product and one product with a constant matrix: a tenth of the calls.
-_W, _X, _Y, _Z = range(4)
-_PRODUCT = _table(
-    (4, 4, 4),
-    {
-        **{(_W, _W, _W): 1.0, (_X, _X, _W): -1.0, (_Y, _Y, _W): -1.0, (_Z, _Z, _W): -1.0},
-        **{(_W, _X, _X): 1.0, (_X, _W, _X): 1.0, (_Y, _Z, _X): 1.0, (_Z, _Y, _X): -1.0},
-        **{(_W, _Y, _Y): 1.0, (_X, _Z, _Y): -1.0, (_Y, _W, _Y): 1.0, (_Z, _X, _Y): 1.0},
-        **{(_W, _Z, _Z): 1.0, (_X, _Y, _Z): 1.0, (_Y, _X, _Z): -1.0, (_Z, _W, _Z): 1.0},
-    },
-)
-_MATRIX = _table(
-    (4, 4, 9),
-    {
-        **{
-            (_Y, _Y, 0): -2.0,
-            (_Z, _Z, 0): -2.0,
-            (_X, _Y, 1): 2.0,
-            (_W, _Z, 1): -2.0,
-            (_X, _Z, 2): 2.0,
-            (_W, _Y, 2): 2.0,
-        },
-        **{
-            (_X, _Y, 3): 2.0,
-            (_W, _Z, 3): 2.0,
-            (_X, _X, 4): -2.0,
-            (_Z, _Z, 4): -2.0,
-            (_Y, _Z, 5): 2.0,
-            (_W, _X, 5): -2.0,
-        },
-        **{
-            (_X, _Z, 6): 2.0,
-            (_W, _Y, 6): -2.0,
-            (_Y, _Z, 7): 2.0,
-            (_W, _X, 7): 2.0,
-            (_X, _X, 8): -2.0,
-            (_Y, _Y, 8): -2.0,
-        },
-    },
-)
-_CROSS = _table(
-    (3, 3, 3),
-    {(1, 2, 0): 1.0, (2, 1, 0): -1.0, (2, 0, 1): 1.0, (0, 2, 1): -1.0, (0, 1, 2): 1.0, (1, 0, 2): -1.0},
-)
-_IDENTITY = np.eye(3).reshape(9)
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+Rows: TypeAlias = tuple[Vector, Vector, Vector]
 _TINY = 1e-300  # no square of an angle is smaller, but that of none
 
 
-def _bilinear(a: NDArray[np.float64], b: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The form ``table`` of each pair of vectors (..., k)."""
-    outer = a[..., :, None] * b[..., None, :]
-    product: NDArray[np.float64] = outer.reshape(*outer.shape[:-2], len(table)) @ table
-    return product
+# -- of numbers or of arrays ------------------------------------------------------------------------------------------
 
 
-def multiply(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternion product a b."""
-    return _bilinear(a, b, _PRODUCT)
+def _matrix(w: Any, x: Any, y: Any, z: Any) -> Any:
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
 
 
-_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+def _yaw(w: Any, x: Any, y: Any, z: Any) -> Any:
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def conjugate(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse of a unit quaternion."""
-    return q * _CONJUGATE
-
-
-def normalise(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """To unit length."""
-    return q / np.sqrt(np.vecdot(q, q))[..., None]
+def _tilt(x: Any, y: Any) -> Any:
+    return np.arccos(np.minimum(np.maximum(1 - 2 * (x * x + y * y), -1.0), 1.0))
 
 
 def to_matrix(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrices (..., 3, 3), body to NED, of unit quaternions."""
-    return (_bilinear(q, q, _MATRIX) + _IDENTITY).reshape(*q.shape[:-1], 3, 3)
-
-
-def from_rotation_vector(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternion of a rotation vector (..., 3), rad."""
-    angle = np.sqrt(np.maximum(np.vecdot(v, v), _TINY))
-    half = 0.5 * angle
-    out = np.empty((*v.shape[:-1], 4))
-    out[..., 0] = np.cos(half)
-    out[..., 1:] = (np.sin(half) / angle)[..., None] * v
-    return out
+    rows = _matrix(q[..., 0], q[..., 1], q[..., 2], q[..., 3])
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def from_yaw(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,33 +51,162 @@ def from_yaw(yaw_rad: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def yaw_of(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heading in rad."""
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.asarray(_yaw(q[..., 0], q[..., 1], q[..., 2], q[..., 3]))
 
 
 def tilt_of(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angle in rad between the body's and the world's vertical."""
-    return np.arccos(np.clip(1 - 2 * (q[..., 1] ** 2 + q[..., 2] ** 2), -1.0, 1.0))
+    return np.asarray(_tilt(q[..., 1], q[..., 2]))
 
 
-def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross product over (..., 3); numpy's own takes ten times as long for small arrays."""
-    return _bilinear(a, b, _CROSS)
+# -- compiled: of one vehicle -----------------------------------------------------------------------------------------
+
+_compiled_matrix = part(_matrix)
+_compiled_yaw = part(_yaw)
+_compiled_tilt = part(_tilt)
 
 
-def swing_and_twist(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Error vector (..., 3): swing of the z axis (x, y) and twist about it (z), in rad, of q = swing * twist."""
-    q = np.where(q[..., :1] < 0, -q, q)
-    w, z = q[..., 0], q[..., 3]
-    norm = np.hypot(w, z)
-    upside_down = norm <= 1e-9  # no twist can be told
-    untwist = np.zeros_like(q)  # the twist's inverse
-    untwist[..., 0] = np.where(upside_down, 1.0, w / np.maximum(norm, 1e-9))
-    untwist[..., 3] = np.where(upside_down, 0.0, -z / np.maximum(norm, 1e-9))
-    swing = multiply(q, untwist)
-    sine = np.hypot(swing[..., 1], swing[..., 2])
-    angle = 2 * np.arctan2(sine, swing[..., 0])
-    out = np.empty((*q.shape[:-1], 3))
-    out[..., :2] = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)[..., None] * swing[..., 1:3]
-    out[..., 2] = -2 * np.arctan2(untwist[..., 3], untwist[..., 0])
-    return out
+@part
+def components(v: NDArray[np.float64]) -> Vector:
+    """Of an array (3,)."""
+    return v[0], v[1], v[2]
+
+
+@part
+def vector(array: NDArray[np.float64], n: int) -> Vector:
+    """Row ``n`` of (N, 3)."""
+    return array[n, 0], array[n, 1], array[n, 2]
+
+
+@part
+def quaternion(array: NDArray[np.float64], n: int) -> Quaternion:
+    """Row ``n`` of (N, 4)."""
+    return array[n, 0], array[n, 1], array[n, 2], array[n, 3]
+
+
+@part
+def put(array: NDArray[np.float64], n: int, v: Vector) -> None:
+    """Into row ``n`` of (N, 3)."""
+    array[n, 0], array[n, 1], array[n, 2] = v
+
+
+@part
+def put_quaternion(array: NDArray[np.float64], n: int, q: Quaternion) -> None:
+    """Into row ``n`` of (N, 4)."""
+    array[n, 0], array[n, 1], array[n, 2], array[n, 3] = q
+
+
+@part
+def add_scaled(a: Vector, factor: float, b: Vector) -> Vector:
+    """a + factor b."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@part
+def scaled(factor: float, v: Vector) -> Vector:
+    """factor v."""
+    return factor * v[0], factor * v[1], factor * v[2]
+
+
+@part
+def dot(a: Vector, b: Vector) -> float:
+    """Inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@part
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@part
+def matrix(q: Quaternion) -> Rows:
+    """Rows of the rotation matrix, body to NED, of a unit quaternion."""
+    return _compiled_matrix(q[0], q[1], q[2], q[3])
+
+
+@part
+def to_ned(rows: Rows, v: Vector) -> Vector:
+    """A body vector in NED."""
+    return dot(rows[0], v), dot(rows[1], v), dot(rows[2], v)
+
+
+@part
+def to_body(rows: Rows, v: Vector) -> Vector:
+    """A NED vector in the body."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    return a * v[0] + d * v[1] + g * v[2], b * v[0] + e * v[1] + h * v[2], c * v[0] + f * v[1] + i * v[2]
+
+
+@part
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Quaternion product a b."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@part
+def conjugate(q: Quaternion) -> Quaternion:
+    """Inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+@part
+def normalise(q: Quaternion) -> Quaternion:
+    """To unit length."""
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
+
+
+@part
+def from_rotation_vector(v: Vector) -> Quaternion:
+    """Quaternion of a rotation vector, rad."""
+    angle = math.sqrt(max(dot(v, v), _TINY))
+    scale = math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), scale * v[0], scale * v[1], scale * v[2]
+
+
+@part
+def turned(q: Quaternion, v: Vector) -> Quaternion:
+    """``q``, then a rotation vector in the body, rad; of unit length."""
+    return normalise(multiply(q, from_rotation_vector(v)))
+
+
+@part
+def level(yaw_rad: float) -> Quaternion:
+    """Level, heading ``yaw_rad``."""
+    return math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad)
+
+
+@part
+def yaw(q: Quaternion) -> float:
+    """Heading in rad."""
+    return _compiled_yaw(q[0], q[1], q[2], q[3])
+
+
+@part
+def tilt(q: Quaternion) -> float:
+    """Angle in rad between the body's and the world's vertical."""
+    return _compiled_tilt(q[1], q[2])
+
+
+@part
+def swing_and_twist(q: Quaternion) -> Vector:
+    """Error vector: swing of the z axis (x, y) and twist about it (z), in rad, of q = swing * twist."""
+    if q[0] < 0.0:
+        q = -q[0], -q[1], -q[2], -q[3]
+    norm = math.hypot(q[0], q[3])
+    c, s = 1.0, 0.0  # the twist's inverse; upside down no twist can be told
+    if norm > 1e-9:
+        c, s = q[0] / norm, -q[3] / norm
+    swing = multiply(q, (c, 0.0, 0.0, s))
+    sine = math.hypot(swing[1], swing[2])
+    scale = 2.0
+    if sine > 1e-9:
+        scale = 2.0 * math.atan2(sine, swing[0]) / sine
+    return scale * swing[1], scale * swing[2], -2.0 * math.atan2(s, c)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,13 @@ from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 from sitl.autopilot import mixer
 from sitl.autopilot.ardupilot.port import ScriptedPort
-from sitl.autopilot.attitude import AttitudeControl
+from sitl.autopilot.attitude import AttitudeArrays, AttitudeControl, attitude_step, reset_attitude
 from sitl.autopilot.companion_port import CompanionPort
-from sitl.autopilot.position import PositionControl
+from sitl.autopilot.position import PositionArrays, PositionControl, position_step, reset_position
 from sitl.autopilot.shaping import clip
-from sitl.sensors import Measured
+from sitl.compiled import kernel, part, prepare
+from sitl.rotation import quaternion, vector
+from sitl.sensors import Measured, Reading
 
 _MIX_ATTITUDE = 0.5  # ATC_THR_MIX_MAX
 _LAND_SPEED_M_S = 0.7
@@ -39,21 +42,115 @@ class Allocation(IntEnum):
     OVERRIDE = 3
 
 
+_GROUND, _LAND = int(Mode.GROUND), int(Mode.LAND)
+
+
+class Mixing(NamedTuple):
+    """Arrays between the loops and the motors."""
+
+    factors: NDArray[np.float64]  # (N, m, 4)
+    dead: NDArray[np.bool_]  # (N, m) declared failed
+    override: NDArray[np.float64]  # (N, m) outputs, nan: of the mixer
+    demand: NDArray[np.float64]  # (N, 4) throttle, roll, pitch, yaw
+    output: NDArray[np.float64]  # (N, m)
+    torque_limited: NDArray[np.bool_]  # (N, 3) of the last cycle
+    throttle_limited: NDArray[np.bool_]  # (N,)
+
+
+class Curve(NamedTuple):
+    """The motors' curve as the autopilot knows it."""
+
+    expo: float
+    spin_min: float
+    spin_max: float
+
+
+class Loops(NamedTuple):
+    """All arrays of the loops."""
+
+    position: PositionArrays
+    attitude: AttitudeArrays
+    desired: NDArray[np.float64]  # (N, 4)
+
+
+@part
+def _mix(n: int, mixing: Mixing, hover: float, flying: bool, armed: bool, curve: Curve) -> None:
+    """Outputs of vehicle ``n`` for its demand."""
+    output, demand = mixing.output[n], mixing.demand[n]
+    mean_max = max(demand[0], demand[0] * (1 - _MIX_ATTITUDE) + hover * _MIX_ATTITUDE)
+    limits = mixer.mix(mixing.factors[n], demand, mean_max, mixing.dead[n], output)
+    limited = mixing.torque_limited[n]
+    limited[0] = limited[1] = limits.roll_pitch
+    limited[2] = limits.yaw
+    mixing.throttle_limited[n] = limits.throttle_upper or limits.throttle_lower
+    for i in range(len(output)):
+        if not flying:
+            output[i] = curve.spin_min if armed else 0.0
+        elif not np.isnan(mixing.override[n, i]):
+            output[i] = mixing.override[n, i]
+        elif mixing.dead[n, i]:
+            output[i] = 0.0
+        else:
+            output[i] = mixer.compiled_thrust_to_output(output[i], curve.expo, curve.spin_min, curve.spin_max)
+
+
+@kernel
+def _cycle(
+    loops: Loops,
+    mixing: Mixing,
+    measured: Reading,
+    modes: tuple[NDArray[np.bool_], NDArray[np.int64]],
+    curve: Curve,
+    dt_s: float,
+) -> bool:
+    """One cycle of all vehicles; ``modes``: armed and mode, (N,) each. Returns whether any vehicle lands."""
+    position, landing = loops.position, False
+    armed, mode = modes
+    for n in range(len(armed)):
+        flying = armed[n] and mode[n] != _GROUND
+        landing = landing or mode[n] == _LAND
+        attitude, place = quaternion(measured.quaternion, n), vector(measured.position_m, n)
+        down = rotation.matrix(attitude)[2]
+        up = -rotation.dot(down, vector(measured.specific_force_m_s2, n)) - GRAVITY_M_S2
+        velocity, gyro = vector(measured.velocity_m_s, n), vector(measured.gyro_rad_s, n)
+        vertical = up, mixing.throttle_limited[n]
+        desired = position_step(n, position, place, velocity, attitude, vertical, dt_s)
+        rotation.put_quaternion(loops.desired, n, desired)
+        limited = mixing.torque_limited[n]
+        roll, pitch, yaw = attitude_step(n, loops.attitude, desired, attitude, gyro, limited, dt_s)
+        throttle = clip(position.throttle[n], 0.0, 1.0)
+        rotation.put_quaternion(mixing.demand, n, (throttle, roll, pitch, yaw))
+        _mix(n, mixing, position.hover_throttle[n], flying, armed[n], curve)
+        if not flying:
+            reset_position(n, position, place, 0.0)
+            reset_attitude(n, loops.attitude, attitude)
+    return landing
+
+
+@kernel
+def _begin(n: int, loops: Loops, measured: Reading, throttle: float) -> None:
+    """Vehicle ``n`` flies from here and now."""
+    attitude = quaternion(measured.quaternion, n)
+    reset_position(n, loops.position, vector(measured.position_m, n), throttle)
+    loops.position.goal_yaw[n] = rotation.yaw(attitude)
+    reset_attitude(n, loops.attitude, attitude)
+
+
 class Autopilot:
     """Knows the ``nominal`` airframe only, the same for all, and ``hover_throttle`` (N,), which it goes on learning."""
 
     def __init__(self, nominal: PlantParameters, dt_s: float, hover_throttle: NDArray[np.float64]) -> None:
         n, m = len(hover_throttle), nominal.motors
         self._p, self._dt = nominal, dt_s
-        self._expo, self._spin_min = float(nominal.thrust_expo[0]), float(nominal.spin_min[0])
-        self.position = PositionControl(n, dt_s, hover_throttle)
-        self.attitude = AttitudeControl(n, dt_s)
+        self._curve = Curve(float(nominal.thrust_expo[0]), float(nominal.spin_min[0]), float(nominal.spin_max))
+        self.position = PositionControl(n, hover_throttle)
+        self.attitude = AttitudeControl(n)
         self.ports = [CompanionPort(m) for _ in range(n)]
         self.scripted: dict[int, ScriptedPort] = {}  # vehicles whose mixer factors and channels scripts reach
         self.overridden: dict[int, ScriptedPort] = {}  # vehicles whose channels alone they reach
         self.mixers: dict[int, mixer.OwnMixer] = {}  # vehicles that mix in a way of their own
         self.armed = np.zeros(n, bool)
-        self.mode = np.full(n, Mode.GROUND)
+        self.mode = np.full(n, int(Mode.GROUND))
         self.allocation = np.full(n, Allocation.STOCK)
         self.output = np.zeros((n, m))
         self.desired = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
@@ -72,6 +169,21 @@ class Autopilot:
         self._limited = np.zeros((n, 3), bool)
         self._throttle_limited = np.zeros(n, bool)
         self._landed_s = np.zeros(n)
+
+    def prepare(self, measured: Measured) -> None:
+        """Compile, or load, what ``step`` and the beginning of a flight run."""
+        loops, reading = self._loops(), measured.reading()
+        prepare(_cycle, loops, self._mixing(), reading, (self.armed, self.mode), self._curve, self._dt)
+        prepare(_begin, 0, loops, reading, 0.0)
+
+    def _loops(self) -> Loops:
+        self.desired = self.desired.copy()
+        return Loops(self.position.renewed(), self.attitude.renewed(), self.desired)
+
+    def _mixing(self) -> Mixing:
+        n, m = self.output.shape
+        limited = self._limited, self._throttle_limited
+        return Mixing(self._factors, self._dead, self._override, np.empty((n, 4)), np.empty((n, m)), *limited)
 
     def arm(self, vehicle: int) -> None:
         """Motors idle, on the ground."""
@@ -97,12 +209,8 @@ class Autopilot:
             self._begin(vehicle, measured, throttle=float(self.position.hover_throttle[vehicle]))
 
     def _begin(self, vehicle: int, measured: Measured, throttle: float) -> None:
-        mask = np.zeros(len(self.armed), bool)
-        mask[vehicle] = True
         self.mode[vehicle] = Mode.GUIDED
-        self.position.reset(mask, measured.position_m, np.zeros_like(measured.velocity_m_s), throttle)
-        self.position.goal_yaw[vehicle] = rotation.yaw_of(measured.quaternion[vehicle])
-        self.attitude.reset(mask, measured.quaternion)
+        _begin(vehicle, self._loops(), measured.reading(), throttle)
 
     def land(self, vehicle: int) -> None:
         """Come down here; disarms on the ground."""
@@ -150,37 +258,24 @@ class Autopilot:
         self._read_ports(now_s)
         if self.scripted or self.overridden:
             self._read_scripts(now_s)
-        flying = self.armed & (self.mode != Mode.GROUND)
-        matrix = rotation.to_matrix(measured.quaternion)
-        up = -np.vecdot(matrix[:, 2, :], measured.specific_force_m_s2) - GRAVITY_M_S2
-        self.desired, self.throttle = self.position.step(
-            measured.position_m, measured.velocity_m_s, up, measured.quaternion, self._throttle_limited
-        )
-        torque = self.attitude.step(self.desired, measured.quaternion, measured.gyro_rad_s, self._limited)
-        hover = self.position.hover_throttle
-        throttle = clip(self.throttle, 0.0, 1.0)
-        mean_max = np.maximum(throttle, throttle * (1 - _MIX_ATTITUDE) + hover * _MIX_ATTITUDE)
-        demand = np.concatenate([throttle[:, None], torque], axis=1)
-        thrust, limits = mixer.mix(self._factors, demand, mean_max, self._dead)
-        self._limited = np.array([limits.roll_pitch, limits.roll_pitch, limits.yaw]).T
-        self._throttle_limited = limits.throttle_upper | limits.throttle_lower
-        output = mixer.thrust_to_output(thrust, self._expo, self._spin_min, self._p.spin_max)
-        output = np.where(self._dead, 0.0, output)
-        output = np.where(np.isnan(self._override), output, self._override)
+        mixing, modes = self._mixing(), (self.armed, self.mode)
+        landing = _cycle(self._loops(), mixing, measured.reading(), modes, self._curve, self._dt)
+        self.output, self.throttle = mixing.output, self.position.throttle
         for vehicle, own in self.mixers.items():
-            asked = flying[vehicle] * demand[vehicle]  # on the ground the motors idle
-            mixed = own.mix(float(asked[0]), asked[1:], armed=bool(self.armed[vehicle]), now_s=now_s)
-            output[vehicle], self._limited[vehicle] = mixed.output, mixed.torque_limited
-            self._throttle_limited[vehicle] = mixed.throttle_limited or not 0.0 < self.throttle[vehicle] < 1.0
-        output = np.where(flying[:, None], output, np.where(self.armed[:, None], self._spin_min, 0.0))
-        self.output = output
-        if not flying.all():
-            idle = ~flying
-            self.position.reset(idle, measured.position_m, np.zeros_like(measured.velocity_m_s), 0.0)
-            self.attitude.reset(idle, measured.quaternion)
-        if (self.mode == Mode.LAND).any():
+            self._mix_its_own_way(vehicle, own, mixing, now_s)
+        if landing:
             self._detect_landing(measured)
-        return output
+        return self.output
+
+    def _mix_its_own_way(self, vehicle: int, own: mixer.OwnMixer, mixing: Mixing, now_s: float) -> None:
+        armed = bool(self.armed[vehicle])
+        flying = armed and self.mode[vehicle] != Mode.GROUND
+        throttle, asked = mixing.demand[vehicle, 0], flying * mixing.demand[vehicle]  # on the ground the motors idle
+        mixed = own.mix(float(asked[0]), asked[1:], armed=armed, now_s=now_s)
+        if flying:
+            mixing.output[vehicle] = mixed.output
+        mixing.torque_limited[vehicle] = mixed.torque_limited
+        mixing.throttle_limited[vehicle] = mixed.throttle_limited or not 0.0 < throttle < 1.0
 
     def _detect_landing(self, measured: Measured) -> None:
         still = (np.abs(measured.velocity_m_s[:, 2]) < 0.3) & (self.throttle < 0.5 * self.position.hover_throttle)

@@ -5,13 +5,15 @@ After AP_MotorsMatrix::output_armed_stabilizing and Thrust_Linearization (Copter
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl.autopilot.shaping import clip
+from sitl.compiled import part
 
 YAW_HEADROOM = 0.2  # MOT_YAW_HEADROOM
 
@@ -37,14 +39,13 @@ def normalised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows / np.maximum(rows, 0.0).sum(axis=1, keepdims=True)
 
 
-@dataclass(slots=True)
-class Limits:
-    """Which demands could not be met in the last step, (N,) each."""
+class Limits(NamedTuple):
+    """Which demands could not be met in the last step."""
 
-    roll_pitch: NDArray[np.bool_]
-    yaw: NDArray[np.bool_]
-    throttle_upper: NDArray[np.bool_]
-    throttle_lower: NDArray[np.bool_]
+    roll_pitch: bool
+    yaw: bool
+    throttle_upper: bool
+    throttle_lower: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,56 +64,67 @@ class OwnMixer(Protocol):
         """``throttle`` 0..1 and ``torque`` (3,) -1..1 as the loops ask for them."""
 
 
+@part
+def _yaw_allowed(
+    factors: NDArray[np.float64], demand: NDArray[np.float64], mean_max: float, dead: NDArray[np.bool_]
+) -> float:
+    """Most of yaw that leaves roll and pitch their room, at least the headroom."""
+    allowed = 1.0
+    for i in range(len(factors)):
+        size = abs(factors[i, 3])
+        if size > 1e-6 and not dead[i]:
+            best = min(0.5, mean_max) + factors[i, 1] * demand[1] + factors[i, 2] * demand[2]
+            room = 1.0 - best if demand[3] * factors[i, 3] > 0.0 else best
+            allowed = min(allowed, max(room, 0.0) / size)
+    return max(allowed, YAW_HEADROOM)
+
+
+@part
 def mix(
     factors: NDArray[np.float64],
     demand: NDArray[np.float64],
-    throttle_mean_max: NDArray[np.float64],
+    throttle_mean_max: float,
     dead: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], Limits]:
-    """Motor thrusts (N, m) in 0..1 for ``demand`` (N, 4) = throttle 0..1, roll, pitch, yaw -1..1.
+    thrust: NDArray[np.float64],
+) -> Limits:
+    """Motor thrusts into ``thrust`` (m,), 0..1, for ``demand`` (4,) = throttle 0..1, roll, pitch, yaw -1..1.
 
-    ``factors`` (N, m, 4); ``dead`` (N, m) marks motors that take no part in the limits (declared failed).
+    ``factors`` (m, 4); ``dead`` (m,) marks motors that take no part in the limits (declared failed).
     """
-    throttle = clip(demand[:, 0], 0.0, 1.0)
+    throttle = clip(demand[0], 0.0, 1.0)
     mean_max = clip(throttle_mean_max, throttle, 1.0)
-    roll_pitch = np.matvec(factors[:, :, 1:3], demand[:, 1:3])
-    best = np.minimum(0.5, mean_max)[:, None] + roll_pitch
-    yaw_factor = factors[:, :, 3]
-    upward = demand[:, 3:4] * yaw_factor > 0.0
-    room = np.maximum(np.where(upward, 1.0 - best, best), 0.0)
-    size = np.abs(yaw_factor)
-    counts = (size > 1e-6) & ~dead
-    allowed = np.where(counts, room / np.where(counts, size, 1.0), 1.0).min(axis=1)
-    allowed = np.maximum(np.minimum(allowed, 1.0), YAW_HEADROOM)
-    yaw = clip(demand[:, 3], -allowed, allowed)
-    yaw_limited = np.abs(demand[:, 3]) > allowed
-
-    attitude = roll_pitch + yaw[:, None] * yaw_factor
-    low = np.where(dead, np.inf, attitude).min(axis=1)
-    high = np.where(dead, -np.inf, attitude).max(axis=1)
+    allowed = _yaw_allowed(factors, demand, mean_max, dead)
+    yaw = clip(demand[3], -allowed, allowed)
+    low, high = math.inf, -math.inf
+    for i in range(len(factors)):
+        attitude = factors[i, 1] * demand[1] + factors[i, 2] * demand[2] + yaw * factors[i, 3]
+        thrust[i] = attitude
+        if not dead[i]:
+            low, high = min(low, attitude), max(high, attitude)
     span = high - low
-    scale = np.where(span > 1.0, 1.0 / np.maximum(span, 1e-9), 1.0)
-    short = mean_max + low < 0.0
-    scale = np.where(short, np.minimum(scale, -mean_max / np.where(short, low, -1.0)), scale)
+    scale = 1.0 / span if span > 1.0 else 1.0
+    if mean_max + low < 0.0:
+        scale = min(scale, -mean_max / low)
     high, low = high * scale, low * scale
     floor = -low
     adjust = throttle - floor
     scaled = scale < 1.0
     ceiling = 1.0 - (floor + high)
-    upper = np.where(scaled, adjust > 0.0, adjust > ceiling)
-    adjust = np.where(scaled, 0.0, clip(adjust, 0.0, np.maximum(ceiling, 0.0)))
-    thrust = (floor + adjust)[:, None] * factors[:, :, 0] + scale[:, None] * attitude
-    limits = Limits(
-        roll_pitch=scaled, yaw=scaled | yaw_limited, throttle_upper=upper, throttle_lower=demand[:, 0] <= 0.0
-    )
-    return clip(thrust, 0.0, 1.0), limits
+    upper = adjust > 0.0 if scaled else adjust > ceiling
+    adjust = 0.0 if scaled else clip(adjust, 0.0, max(ceiling, 0.0))
+    for i in range(len(factors)):
+        thrust[i] = clip((floor + adjust) * factors[i, 0] + scale * thrust[i], 0.0, 1.0)
+    return Limits(scaled, scaled or abs(demand[3]) > allowed, upper, demand[0] <= 0.0)
 
 
-def thrust_to_output(thrust: NDArray[np.float64], expo: float, spin_min: float, spin_max: float) -> NDArray[np.float64]:
-    """Actuator output 0..1 for a thrust 0..1: the inverse of the motor's curve, above the idle speed."""
+def thrust_to_output(thrust: Any, expo: float, spin_min: float, spin_max: float) -> Any:
+    """Actuator output 0..1 for a thrust 0..1, number or array: the inverse of the motor's curve, above idle."""
     root = np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)
     ratio = thrust if expo == 0.0 else (root - (1.0 - expo)) / (2.0 * expo)
     return spin_min + (spin_max - spin_min) * ratio
+
+
+compiled_thrust_to_output = part(thrust_to_output)
 
 
 def reduced_factors(

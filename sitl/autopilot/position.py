@@ -3,32 +3,161 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2
-from sitl.autopilot.shaping import Gains, Pid, clip, filter_share, limit_length, square_root_controller
+from sitl.autopilot.shaping import PID, Gains, clip, filter_share, limit_length, pid, reset, square_root_controller
+from sitl.compiled import flat, part
+from sitl.rotation import Quaternion, Vector, put, vector
 
 _LEAN_MAX_RAD = math.radians(30.0)
+_LEAN_MAX_M_S2 = GRAVITY_M_S2 * math.tan(_LEAN_MAX_RAD)
 _ACCELERATION_XY = 2.5  # shaped path, WPNAV_ACCEL
 _ACCELERATION_Z = 1.0
 _CORRECTION_XY = 2.5
 _CORRECTION_Z = 2.5
 _JERK = 5.0
-_VELOCITY = [Gains(p=2.0, i=1.0, d=0.25, integral_limit=10.0, error_hz=5.0, derivative_hz=5.0)] * 2
-_VELOCITY_Z = [Gains(p=5.0, i=0.0, d=0.0, integral_limit=10.0, error_hz=5.0, derivative_hz=5.0)]
-_ACCELERATION_LOOP_Z = [Gains(p=0.05, i=0.1, d=0.0, integral_limit=0.8, error_hz=20.0)]
+_VELOCITY_XY = Gains(p=2.0, i=1.0, d=0.25, integral_limit=10.0, target_hz=0.0, error_hz=5.0, derivative_hz=5.0)
+_VELOCITY_Z = Gains(p=5.0, i=0.0, d=0.0, integral_limit=10.0, target_hz=0.0, error_hz=5.0, derivative_hz=5.0)
+_ACCELERATION = Gains(p=0.05, i=0.1, d=0.0, integral_limit=0.8, target_hz=0.0, error_hz=20.0, derivative_hz=20.0)
 _THROTTLE_HZ = 2.0  # motors' throttle filter under position control
 _HOVER_TIME_S = 10.0
+_NORTH, _EAST, _DOWN, _UP_ACCELERATION = range(4)  # loops
+
+
+class PositionArrays(NamedTuple):
+    """Arrays of ``PositionControl``."""
+
+    goal: NDArray[np.float64]
+    goal_velocity: NDArray[np.float64]
+    goal_yaw: NDArray[np.float64]
+    goal_yaw_rate: NDArray[np.float64]
+    speed_xy: NDArray[np.float64]
+    speed_z: NDArray[np.float64]
+    path: NDArray[np.float64]
+    path_velocity: NDArray[np.float64]
+    path_acceleration: NDArray[np.float64]
+    hover_throttle: NDArray[np.float64]
+    throttle: NDArray[np.float64]
+    loops: NDArray[np.void]  # (N, 4) of PID
+    limited_xy: NDArray[np.bool_]  # (N,)
+
+
+@part
+def reset_position(n: int, position: PositionArrays, measured: Vector, throttle: float) -> None:
+    """Take the present position as path and goal, at rest."""
+    put(position.goal, n, measured)
+    put(position.path, n, measured)
+    put(position.path_velocity, n, (0.0, 0.0, 0.0))
+    put(position.path_acceleration, n, (0.0, 0.0, 0.0))
+    for k in range(4):
+        reset(position.loops[n, k])
+    position.throttle[n] = throttle
+    position.loops[n, _UP_ACCELERATION].integral = throttle - position.hover_throttle[n]
+
+
+@part
+def _shape_path(n: int, position: PositionArrays, dt_s: float) -> None:
+    """Move the path towards the goal within speed, acceleration and jerk."""
+    path = vector(position.path, n)
+    x, y, z = rotation.add_scaled(vector(position.goal, n), -1.0, path)
+    distance = math.sqrt(x * x + y * y)
+    speed = min(square_root_controller(distance, 1.0, _ACCELERATION_XY, dt_s), position.speed_xy[n])
+    most_z = position.speed_z[n]
+    climb = clip(square_root_controller(z, 1.0, _ACCELERATION_Z, dt_s), -most_z, most_z)
+    scale = speed / max(distance, 1e-6)
+    north, east, down = vector(position.goal_velocity, n)
+    velocity = vector(position.path_velocity, n)
+    asked_x, asked_y = limit_length(
+        4.0 * ((north if math.isfinite(north) else scale * x) - velocity[0]),
+        4.0 * ((east if math.isfinite(east) else scale * y) - velocity[1]),
+        _ACCELERATION_XY,
+    )
+    asked_z = 4.0 * ((down if math.isfinite(down) else climb) - velocity[2])
+    asked = (asked_x, asked_y, clip(asked_z, -_ACCELERATION_Z, _ACCELERATION_Z))
+    step = 4.0 * _JERK * dt_s
+    for k in range(3):
+        position.path_acceleration[n, k] += clip(asked[k] - position.path_acceleration[n, k], -step, step)
+        position.path_velocity[n, k] += dt_s * position.path_acceleration[n, k]
+        position.path[n, k] += dt_s * position.path_velocity[n, k]
+
+
+@part
+def _follow_path(n: int, position: PositionArrays, place: Vector, velocity: Vector, dt_s: float) -> Vector:
+    """Acceleration north and east m/s^2, within the lean, and upwards."""
+    x, y, z = rotation.add_scaled(vector(position.path, n), -1.0, place)
+    distance = math.sqrt(x * x + y * y)
+    scale = square_root_controller(distance, 1.0, _CORRECTION_XY, dt_s) / max(distance, 1e-6)
+    climb = square_root_controller(z, 1.0, _CORRECTION_Z, dt_s)
+    ahead, along = vector(position.path_velocity, n), vector(position.path_acceleration, n)
+    loops, limited = position.loops, position.limited_xy[n]
+    north = pid(_VELOCITY_XY, loops[n, _NORTH], scale * x + ahead[0], velocity[0], limited, dt_s) + along[0]
+    east = pid(_VELOCITY_XY, loops[n, _EAST], scale * y + ahead[1], velocity[1], limited, dt_s) + along[1]
+    short_north, short_east = limit_length(north, east, _LEAN_MAX_M_S2)
+    position.limited_xy[n] = short_north != north or short_east != east
+    up = -pid(_VELOCITY_Z, loops[n, _DOWN], climb + ahead[2], velocity[2], False, dt_s) - along[2]
+    return short_north, short_east, up
+
+
+@part
+def _attitude_for(north: float, east: float, yaw_rad: float) -> Quaternion:
+    """Attitude whose thrust gives the horizontal acceleration m/s^2 NED, heading ``yaw_rad``."""
+    length = math.sqrt(north * north + east * east + GRAVITY_M_S2 * GRAVITY_M_S2)
+    x, y, z = north / length, east / length, -GRAVITY_M_S2 / length
+    # Rotation that takes the world's up (0, 0, -1) to (x, y, z).
+    sine = math.sqrt(x * x + y * y)
+    scale = math.atan2(sine, -z) / sine if sine > 1e-9 else 0.0
+    return rotation.multiply(rotation.from_rotation_vector((scale * y, -scale * x, 0.0)), rotation.level(yaw_rad))
+
+
+@part
+def _upright(q: Quaternion) -> float:
+    """Cosine of the tilt."""
+    return 1 - 2 * (q[1] * q[1] + q[2] * q[2])
+
+
+@part
+def position_step(
+    n: int,
+    position: PositionArrays,
+    place: Vector,
+    velocity: Vector,
+    attitude: Quaternion,
+    up: tuple[float, bool],
+    dt_s: float,
+) -> Quaternion:
+    """One cycle: the desired attitude; the throttle is in ``position``.
+
+    ``place``, ``velocity`` and ``attitude`` as measured; ``up``: acceleration without gravity m/s^2, and whether the
+    mixer could not give the throttle asked for.
+    """
+    _shape_path(n, position, dt_s)
+    north, east, up_target = _follow_path(n, position, place, velocity, dt_s)
+    vertical = position.loops[n, _UP_ACCELERATION]
+    throttle = pid(_ACCELERATION, vertical, up_target, up[0], up[1], dt_s) + position.hover_throttle[n]
+    position.goal_yaw[n] += dt_s * position.goal_yaw_rate[n]
+    desired = _attitude_for(north, east, position.goal_yaw[n])
+    cosine = _upright(attitude)
+    boosted = throttle * clip(10.0 * cosine, 0.0, 1.0) / clip(_upright(desired), 0.1, 1.0)
+    position.throttle[n] += filter_share(_THROTTLE_HZ, dt_s) * (boosted - position.throttle[n])
+    if abs(velocity[2]) < 0.6 and cosine > 0.98 and abs(position.path_velocity[n, 2]) < 0.05:
+        moved = dt_s / _HOVER_TIME_S * (clip(position.throttle[n], 0.1, 0.9) - position.hover_throttle[n])
+        position.hover_throttle[n] += moved
+        position.loops[n, _UP_ACCELERATION].integral -= moved
+    return desired
 
 
 class PositionControl:
-    """Desired attitude (N, 4) and throttle (N,) from a goal in NED; the path to it is shaped by acceleration."""
+    """Goals in NED, which others may set or replace, and the path to them, shaped by acceleration.
 
-    def __init__(self, vehicles: int, dt_s: float, hover_throttle: NDArray[np.float64]) -> None:
-        self._dt = dt_s
+    What a cycle changes, but ``goal``, is a new array in each.
+    """
+
+    def __init__(self, vehicles: int, hover_throttle: NDArray[np.float64]) -> None:
         self.goal = np.zeros((vehicles, 3))
         self.goal_velocity = np.full((vehicles, 3), np.nan)  # finite: fly this velocity instead
         self.goal_yaw = np.zeros(vehicles)
@@ -39,100 +168,28 @@ class PositionControl:
         self.path_velocity = np.zeros((vehicles, 3))
         self.path_acceleration = np.zeros((vehicles, 3))
         self.hover_throttle = hover_throttle.copy()
-        self._velocity = Pid(_VELOCITY, vehicles, dt_s)
-        self._velocity_z = Pid(_VELOCITY_Z, vehicles, dt_s)
-        self._acceleration_z = Pid(_ACCELERATION_LOOP_Z, vehicles, dt_s)
-        self._throttle = hover_throttle.copy()
-        self._throttle_share = filter_share(_THROTTLE_HZ, dt_s)
-        self._limited_xy = np.zeros((vehicles, 2), bool)
+        self.throttle = hover_throttle.copy()
+        self._loops = np.zeros((vehicles, 4), PID)
+        self._limited_xy = np.zeros(vehicles, bool)
 
-    def reset(
-        self, mask: NDArray[np.bool_], position: NDArray[np.float64], velocity: NDArray[np.float64], throttle: float
-    ) -> None:
-        """Take the present position as path and goal for vehicles in ``mask`` (N,)."""
-        if not mask.any():
-            return
-        self.goal[mask] = self.path[mask] = position[mask]
-        self.path_velocity[mask] = velocity[mask]
-        self.path_acceleration[mask] = 0.0
-        for loop in (self._velocity, self._velocity_z, self._acceleration_z):
-            loop.reset(mask)
-        self._throttle[mask] = throttle
-        self._acceleration_z.integral[mask] = throttle - self.hover_throttle[mask, None]
-
-    def _shape_path(self) -> None:
-        """Move the path towards the goal within speed, acceleration and jerk."""
-        wanted = np.empty_like(self.path)
-        error = self.goal - self.path
-        distance = np.hypot(error[:, 0], error[:, 1])
-        speed = np.minimum(square_root_controller(distance, 1.0, _ACCELERATION_XY, self._dt), self.speed_xy)
-        wanted[:, :2] = error[:, :2] * (speed / np.maximum(distance, 1e-6))[:, None]
-        wanted[:, 2] = clip(
-            square_root_controller(error[:, 2], 1.0, _ACCELERATION_Z, self._dt), -self.speed_z, self.speed_z
+    def renewed(self) -> PositionArrays:
+        """Its arrays after those that others see were replaced by copies, to be written."""
+        self.goal = flat(self.goal)
+        self.goal_yaw, self.path = flat(self.goal_yaw).copy(), flat(self.path).copy()
+        self.path_velocity, self.path_acceleration = self.path_velocity.copy(), self.path_acceleration.copy()
+        self.hover_throttle, self.throttle = self.hover_throttle.copy(), self.throttle.copy()
+        return PositionArrays(
+            self.goal,
+            flat(self.goal_velocity),
+            self.goal_yaw,
+            flat(self.goal_yaw_rate),
+            flat(self.speed_xy),
+            flat(self.speed_z),
+            self.path,
+            self.path_velocity,
+            self.path_acceleration,
+            self.hover_throttle,
+            self.throttle,
+            self._loops,
+            self._limited_xy,
         )
-        wanted = np.where(np.isfinite(self.goal_velocity), self.goal_velocity, wanted)
-        asked = 4.0 * (wanted - self.path_velocity)
-        asked[:, :2] = limit_length(asked[:, :2], _ACCELERATION_XY)
-        asked[:, 2] = clip(asked[:, 2], -_ACCELERATION_Z, _ACCELERATION_Z)
-        step = 4.0 * _JERK * self._dt
-        self.path_acceleration = self.path_acceleration + clip(asked - self.path_acceleration, -step, step)
-        self.path_velocity = self.path_velocity + self._dt * self.path_acceleration
-        self.path = self.path + self._dt * self.path_velocity
-
-    def step(
-        self,
-        position: NDArray[np.float64],
-        velocity: NDArray[np.float64],
-        acceleration_up: NDArray[np.float64],
-        quaternion: NDArray[np.float64],
-        throttle_limited: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One cycle. ``acceleration_up`` (N,) without gravity; ``throttle_limited`` (N,) from the mixer."""
-        self._shape_path()
-        error = self.path - position
-        target = np.empty_like(error)
-        distance = np.hypot(error[:, 0], error[:, 1])
-        speed = square_root_controller(distance, 1.0, _CORRECTION_XY, self._dt)
-        target[:, :2] = error[:, :2] * (speed / np.maximum(distance, 1e-6))[:, None]
-        target[:, 2] = square_root_controller(error[:, 2], 1.0, _CORRECTION_Z, self._dt)
-        target += self.path_velocity
-
-        acceleration = self._velocity.step(target[:, :2], velocity[:, :2], self._limited_xy)
-        acceleration = acceleration + self.path_acceleration[:, :2]
-        limited = limit_length(acceleration, GRAVITY_M_S2 * math.tan(_LEAN_MAX_RAD))
-        self._limited_xy[:] = (limited != acceleration).any(axis=1)[:, None]
-
-        none = np.zeros((len(distance), 1), bool)
-        up_target = -self._velocity_z.step(target[:, 2:], velocity[:, 2:], none)
-        up_target = up_target - self.path_acceleration[:, 2:]
-        throttle = (
-            self._acceleration_z.step(up_target, acceleration_up[:, None], throttle_limited[:, None])[:, 0]
-            + self.hover_throttle
-        )
-
-        self.goal_yaw = self.goal_yaw + self._dt * self.goal_yaw_rate
-        desired = _attitude_for(limited, self.goal_yaw)
-        cosine_target = 1 - 2 * (desired[:, 1] ** 2 + desired[:, 2] ** 2)
-        cosine = 1 - 2 * (quaternion[:, 1] ** 2 + quaternion[:, 2] ** 2)
-        boosted = throttle * clip(10.0 * cosine, 0.0, 1.0) / clip(cosine_target, 0.1, 1.0)
-        self._throttle = self._throttle + self._throttle_share * (boosted - self._throttle)
-        steady = (np.abs(velocity[:, 2]) < 0.6) & (cosine > 0.98) & (np.abs(self.path_velocity[:, 2]) < 0.05)
-        learn = np.where(steady, self._dt / _HOVER_TIME_S, 0.0)
-        moved = learn * (clip(self._throttle, 0.1, 0.9) - self.hover_throttle)
-        self.hover_throttle = self.hover_throttle + moved
-        self._acceleration_z.integral -= moved[:, None]
-        return desired, self._throttle
-
-
-def _attitude_for(acceleration: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Attitude (N, 4) whose thrust gives the horizontal ``acceleration`` (N, 2) m/s^2 NED, heading ``yaw``."""
-    up = np.empty((len(yaw), 3))
-    up[:, :2], up[:, 2] = acceleration, -GRAVITY_M_S2
-    up /= np.sqrt(np.vecdot(up, up))[:, None]
-    # Rotation that takes the world's up (0, 0, -1) to ``up``.
-    axis = np.zeros_like(up)
-    axis[:, 0], axis[:, 1] = up[:, 1], -up[:, 0]
-    sine = np.hypot(up[:, 0], up[:, 1])
-    angle = np.arctan2(sine, -up[:, 2])
-    scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 0.0)
-    return rotation.multiply(rotation.from_rotation_vector(axis * scale[:, None]), rotation.from_yaw(yaw))

@@ -63,6 +63,12 @@ class Physics:
         self.time_s = 0.0
         self.max_tilt_rad = 0.0
         self.output = np.zeros(nominal.motors)
+        Plant(self.parameters, _STEP_MAX_S).prepare(self.state)
+        self._air(_STEP_MAX_S).prepare()
+
+    def _air(self, dt_s: float) -> Wind:
+        sigma = np.array([self._options.turbulence_m_s])
+        return Wind(self._mean, sigma, dt_s, vehicle_generators([self._options.seed], 1))
 
     def step(self, output: NDArray[np.float64], interval_s: float) -> None:
         """Advance by ``interval_s`` under motor outputs (m,) in 0..1; what is not a number stands still."""
@@ -71,12 +77,7 @@ class Physics:
         if self._plant is None or abs(dt - self._dt_s) > 1e-9:
             # The discrete lags hold for one step length; an autopilot's is steady but may be told late.
             self._dt_s, self._plant = dt, Plant(self.parameters, dt)
-            self._wind = Wind(
-                self._mean,
-                np.array([self._options.turbulence_m_s]),
-                dt,
-                vehicle_generators([self._options.seed], 1),
-            )
+            self._wind = self._air(dt)
         assert self._wind is not None
         self.output = np.clip(np.nan_to_num(output, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
         state = self.state

@@ -138,6 +138,10 @@ def test_the_plant_never_imports_the_companions_model(path: Path) -> None:
     assert {name for name in taken if not name.startswith(PLANT_MAY_IMPORT)} == set()
 
 
+def test_one_file_of_the_plant_knows_numba_and_the_companion_does_not() -> None:
+    assert {m for m, p in MODULES.items() if "numba" in {n.split(".")[0] for n in imports(p)}} == {"sitl.compiled"}
+
+
 def test_only_commands_know_the_emulated_vehicle() -> None:
     for module, path in MODULES.items():
         if module.startswith("nff_companion") and room(module) != "cli":
@@ -222,7 +226,8 @@ def test_nothing_in_the_flying_code_compares_a_text_that_people_read(module: str
 def test_the_daemon_loads_neither_training_nor_plotting_nor_peers() -> None:
     code = (
         "import sys, nff_companion.cli.main, nff_companion.daemon.service; "
-        "print([m for m in ('torch', 'filterpy', 'plotly', 'matplotlib', 'scipy', 'sitl') if m in sys.modules])"
+        "heavy = ('torch', 'filterpy', 'plotly', 'matplotlib', 'scipy', 'numba', 'sitl'); "
+        "print([m for m in heavy if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
