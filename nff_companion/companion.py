@@ -252,7 +252,7 @@ class Companion:
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         planning, adapted = state.planning, state.adapted
         if state.trusted and not self._only_judges:
-            planning = self._planner.step(planning, time_s, estimate)
+            planning = self._planner.step(planning, time_s, estimate, trust_partial=self._lag_fits(state))
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
@@ -289,6 +289,12 @@ class Companion:
             tracking_error=np.array(error) if self._composite and error and state.blind is None else None,
         )
         return self._estimator.step(before, measurement)
+
+    def _lag_fits(self, state: CompanionState) -> bool:
+        """Whether the motors answer when the file says, as far as is known: where they do not, each turn looks like a
+        partial loss for a while."""
+        later_s = state.fit.fit.seen.later_s
+        return later_s is None or abs(later_s) <= self.tuning.fit.said_lag_s
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None

@@ -73,14 +73,17 @@ class Planner:
         """The next flight starts with all motors."""
         return replace(state, plan=None, refusal=None, planned_for=np.ones_like(state.planned_for))
 
-    def step(self, state: PlannerState, time_s: float, estimate: Estimate) -> PlannerState:
-        """Solve the allocation again when what is believed of the motors has moved."""
+    def step(
+        self, state: PlannerState, time_s: float, estimate: Estimate, *, trust_partial: bool = True
+    ) -> PlannerState:
+        """Solve the allocation again when what is believed of the motors has moved; ``trust_partial`` False: what looks
+        like a partial loss may be an error of the model."""
         o = self._tuning
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any()
         if clear and state.untouched:
             return state
-        low_since, target = self._target(state, time_s, estimate)
+        low_since, target = self._target(state, time_s, estimate, trust_partial)
         change = float(np.nan_to_num(np.abs(target - state.planned_for), nan=1.0).max())
         declared_s, caught_s = state.declared_s, state.caught_s
         if estimate.events:
@@ -116,7 +119,7 @@ class Planner:
         return replace(state, plan=kept, refusal=plan, rejected=state.rejected + 1, planned_for=again, untouched=False)
 
     def _target(
-        self, state: PlannerState, time_s: float, estimate: Estimate
+        self, state: PlannerState, time_s: float, estimate: Estimate, trust_partial: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Since when motors are partly lost (m,), and the effectiveness (m,) to allocate for: declared motors gone, a
         lasting partial loss shaped, the rest whole."""
@@ -124,7 +127,7 @@ class Planner:
         if self._given_target is not None:
             return state.low_since_s, self._given_target(estimate)
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < o.deviation_max) & ~estimate.failed
-        if int(low.sum()) > 1:
+        if int(low.sum()) > 1 or not trust_partial:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         target = np.ones(self._vehicle.motors)
         low_since = np.where(low, np.fmin(state.low_since_s, time_s), np.nan)

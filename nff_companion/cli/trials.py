@@ -39,7 +39,7 @@ def survey(
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     detector: Annotated[str, typer.Option(help="sparse, or the peer imm.")] = "sparse",
     personality: Annotated[
-        str, typer.Option(help="plain, or ardupilot: on the wire, with our applet in a real Lua.")
+        str, typer.Option(help="plain; ardupilot: on the wire, with our applet in a real Lua; px4: emulated.")
     ] = "plain",
     rotor_speeds: Annotated[bool, typer.Option("--rotor-speeds", help="The ESCs report speeds.")] = False,
     thrust_to_weight: Annotated[float, typer.Option(help="Replaces the airframe's; 0: as the file says.")] = 0.0,
@@ -49,15 +49,16 @@ def survey(
     """Fly every failure in virtual time, with and without the companion."""
     from nff_companion.core import vehicle
     from sitl.trials import survey as surveys
+    from sitl.trials.personality import PERSONALITIES
 
     if mode not in MODES:
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
     if singles and pairs:
         raise ConfigError("--singles and --pairs exclude each other: run two surveys")
-    if personality not in ("plain", "ardupilot"):
-        raise ConfigError(f"personality {personality!r} is unknown: choose plain or ardupilot")
+    if personality not in PERSONALITIES:
+        raise ConfigError(f"personality {personality!r} is unknown: choose one of {', '.join(PERSONALITIES)}")
     if wrong_file:
-        _wrong_files(wrong_file, airframe, first_seed, workers or None, json=json)
+        _wrong_files(wrong_file, airframe, first_seed, workers or None, personality=personality, json=json)
         return
     if first_seconds:
         _first_seconds(first_seconds, airframe, first_seed, json=json)
@@ -101,10 +102,10 @@ def survey(
         say(f"{key}: {value}")
 
 
-def _wrong_files(count: int, airframe: str, seed: int, workers: int | None, *, json: bool) -> None:
+def _wrong_files(count: int, airframe: str, seed: int, workers: int | None, *, personality: str, json: bool) -> None:
     from sitl.trials import wrong_file
 
-    document = wrong_file.run(airframe, count, seed, workers)
+    document = wrong_file.run(airframe, count, seed, workers, personality)
     if json:
         print_json(document)
         return

@@ -21,8 +21,9 @@ from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward, healthy
 from sitl.trials.comparison import rms_ratio
+from sitl.trials.personality import prepared
 from sitl.trials.research.detectors import parts_of
-from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, Workshop, temporary_card
+from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 
 FAULT_AT_S = 5.0
 FLY_ON_S = 20.0
@@ -138,7 +139,7 @@ def _spread(
 def _build(
     options: SurveyOptions, seeds: list[int], faults: list[Fault], companions: list[int], card: str, **fleet: Any
 ) -> VirtualFlight:
-    """``card``: folder for the scripts of the ArduPilot personality."""
+    """``card``: folder for what the personality keeps."""
     nominal = plant_airframe.load(
         vehicle_model.path_of(options.airframe), vehicles=len(seeds), thrust_to_weight=options.thrust_to_weight
     )
@@ -150,10 +151,8 @@ def _build(
         height_m=forward.HEIGHT_M if options.forward else HEIGHT_M,
         **fleet,
     )
-    workshop = None
-    if options.personality == "ardupilot":
-        model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
-        workshop = Workshop.prepare(model, TrialOptions().allocation, card)
+    model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
+    personality = prepared(options.personality, model, TrialOptions().allocation, card)
     chosen = TrialOptions(mode=options.mode, network=options.network, parts=parts_of(options.detector, options.joint))
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
@@ -162,7 +161,8 @@ def _build(
         thrust_to_weight=options.thrust_to_weight,
         rate_hz=options.rate_hz,
         link_delay_s=options.link_delay_s,
-        workshop=workshop,
+        workshop=personality.workshop,
+        px4=personality.px4,
         rotor_speeds=options.rotor_speeds,
     )
 

@@ -18,12 +18,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from nff_companion.condition import Mode
+from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.fit import FitVerdict
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials.personality import prepared
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import Uncertainty
 
@@ -164,9 +165,10 @@ def fly(
     seconds: float = SECONDS,
     begin: Callable[[VirtualFlight], Pilot] = _first_flight,
     height_m: float = HEIGHT_M,
+    personality: str = "plain",
 ) -> list[Any]:
     """One row a case: what the companion declared, thought of its file, and said, in so many ``seconds`` of flight from
-    ``height_m`` (0: from the ground); ``begin`` gives who flies."""
+    ``height_m`` (0: from the ground); ``begin`` gives who flies. The autopilot is set up for what flies."""
     true = [index for index, case in enumerate(cases) if case.kind != "estimated"]
     guessed = [index for index, case in enumerate(cases) if case.kind == "estimated"]
     rows: list[Any] = [None] * len(cases)
@@ -201,10 +203,24 @@ def fly(
                 )
                 for place, index in enumerate(group)
             }
-            flight = VirtualFlight(Fleet(plants, options, faults), companions, airframe=airframe, rate_hz=rate_hz)
-        flown = _flown(flight, seconds, begin(flight))
+            autopilot = prepared(personality, vehicle_model.load(airframe), TrialOptions().allocation, folder)
+            flight = VirtualFlight(
+                Fleet(plants, options, faults),
+                companions,
+                airframe=airframe,
+                rate_hz=rate_hz,
+                workshop=autopilot.workshop,
+                px4=autopilot.px4,
+            )
+            flown = _flown(flight, seconds, begin(flight))
         for place, index in enumerate(group):
-            rows[index] = {"airframe": airframe, "case": cases[index].name, "kind": cases[index].kind, **flown[place]}
+            rows[index] = {
+                "airframe": airframe,
+                "personality": personality,
+                "case": cases[index].name,
+                "kind": cases[index].kind,
+                **flown[place],
+            }
             rows[index] |= {"seed": seeds[place], "wind_m_s": wind[place]}
     return rows
 
@@ -231,6 +247,8 @@ def _note(row: dict[str, Any], companion: TrialCompanion, time_s: float) -> None
     output = companion.output
     row["acted"] |= output.plan is not None or output.override is not None
     key = {FitVerdict.DOES_NOT_FIT: "contradicted_s", FitVerdict.FITS: "fits_s"}.get(output.fit.verdict)
+    if output.obstacle is not None and output.obstacle.reason == Reason.CONTRADICTION:
+        key = "contradicted_s"  # by the autopilot's own parameters
     if key is not None and row[key] is None:
         row[key] = round(time_s, 2)
 
@@ -265,17 +283,28 @@ def exception(row: dict[str, Any]) -> str:
     return "" if contradicted else "not found"
 
 
-def run(airframe: str, count: int, seed: int, workers: int | None = None) -> dict[str, Any]:
+def run(airframe: str, count: int, seed: int, workers: int | None = None, personality: str = "plain") -> dict[str, Any]:
     """``count`` drawn cases; the document that ``nff survey --wrong-file`` prints."""
     cases = draw(count, airframe, np.random.default_rng(seed))
     shares = [cases[k : k + _FLEET] for k in range(0, count, _FLEET)]
-    jobs = [(airframe, share, seed + _FLEET * k) for k, share in enumerate(shares)]
+    jobs = [(airframe, share, seed + _FLEET * k, personality) for k, share in enumerate(shares)]
     processes = min(workers or os.cpu_count() or 1, len(jobs))
     if processes == 1:
-        parts = [fly(*job) for job in jobs]
+        parts = [_share(*job) for job in jobs]
     else:
         with multiprocessing.get_context("spawn").Pool(processes) as pool:
-            parts = pool.starmap(fly, jobs, chunksize=1)
+            parts = pool.starmap(_share, jobs, chunksize=1)
     rows = [row for part in parts for row in part]
     exceptions = [{**row, "why": exception(row)} for row in rows if exception(row)]
-    return {"airframe": airframe, "seed": seed, "flights": rows, "exceptions": exceptions, "summary": summary(rows)}
+    return {
+        "airframe": airframe,
+        "personality": personality,
+        "seed": seed,
+        "flights": rows,
+        "exceptions": exceptions,
+        "summary": summary(rows),
+    }
+
+
+def _share(airframe: str, cases: list[Case], seed: int, personality: str) -> list[Any]:
+    return fly(airframe, cases, seed, personality=personality)

@@ -77,6 +77,7 @@ def test_a_file_of_another_vehicle_is_found_and_said_in_20_s(flown: list[dict[st
 def test_a_number_that_is_a_third_off_is_in_the_sentence(flown: list[dict[str, Any]]) -> None:
     for row in of_kind(flown, *NUMBERS):
         assert row["verdict"] != "does_not_fit", row
+        assert not row["acted"], row
         assert "of the file's" in row["text"], row  # the numbers as they are; and in words where they are far off:
         assert row["off"] or row["kind"] in ("expo", "torque", "lag"), row
 

@@ -1,0 +1,49 @@
+"""When the allocation is solved again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nff_companion.allocation import allocator
+from nff_companion.allocation.planner import Planner, PlannerState
+from nff_companion.core.estimate import Estimate
+from nff_companion.core.vehicle import Vehicle
+
+LEFT = 0.6  # of motor 3
+
+
+def partly_lost(octo: Vehicle) -> Estimate:
+    effectiveness = np.ones(octo.motors)
+    effectiveness[2] = LEFT
+    nothing = np.zeros(octo.axes)
+    return Estimate(
+        effectiveness=effectiveness,
+        deviation=np.full(octo.motors, 0.02),
+        failed=np.zeros(octo.motors, bool),
+        raw=nothing,
+        residual=nothing,
+        disturbance=nothing,
+        features=None,
+        thrust_shown=np.full(octo.motors, octo.hover),
+        lateral_m_s2=np.zeros(2),
+        best=None,
+        events=[],
+    )
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_a_lasting_partial_loss_is_allocated_around_where_the_model_can_be_trusted(
+    octo: Vehicle, trusted: bool
+) -> None:
+    planner, estimate = Planner(octo, allocator("trim")), partly_lost(octo)
+    state: PlannerState = planner.start()
+    for k in range(400):
+        state = planner.step(state, 0.005 * k, estimate, trust_partial=trusted)
+    assert (state.plan is not None) == trusted
+    assert state.degraded.tolist() == [trusted and motor == 3 for motor in range(1, octo.motors + 1)]
+    # What was in force is taken back once the doubt is there.
+    for k in range(400, 800):
+        state = planner.step(state, 0.005 * k, estimate, trust_partial=False)
+    assert state.plan is None
+    assert not state.degraded.any()
