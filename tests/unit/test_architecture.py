@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -61,10 +62,16 @@ def files(folder: str) -> list[Path]:
 MODULES = {module_of(path): path for folder in ("nff_companion", "sitl") for path in files(folder)}
 
 
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imports(path: Path) -> set[str]:
     """Names of everything imported, modules and what is taken from them."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -174,7 +181,7 @@ def test_a_bare_array_is_found_in_an_annotation_and_in_an_alias_but_not_in_isins
 def calls(path: Path, name: str) -> int:
     """How often something called ``name`` is called in a file, as a method or by its name."""
     count = 0
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Call):
             called = node.func
             count += isinstance(called, ast.Attribute) and called.attr == name
@@ -205,7 +212,7 @@ def test_commands_are_encoded_for_the_session_alone() -> None:
 
 
 def test_an_adapter_has_at_most_nine_members() -> None:
-    tree = ast.parse((ROOT / "nff_companion" / "autopilots" / "base.py").read_text(encoding="utf-8"))
+    tree = parsed(ROOT / "nff_companion" / "autopilots" / "base.py")
     adapter = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Adapter")
     members = [node for node in adapter.body if isinstance(node, ast.FunctionDef | ast.AnnAssign)]
     assert 5 <= len(members) <= 9
@@ -214,7 +221,7 @@ def test_an_adapter_has_at_most_nine_members() -> None:
 @pytest.mark.parametrize("module", [m for m in MODULES if room(m) in {r for floor in FLOORS[:11] for r in floor}])
 def test_nothing_in_the_flying_code_compares_a_text_that_people_read(module: str) -> None:
     """A text with a space is for people; and nobody asks what ``text`` says."""
-    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(MODULES[module])):
         if not isinstance(node, ast.Compare):
             continue
         for part in (node.left, *node.comparators):

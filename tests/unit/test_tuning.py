@@ -174,10 +174,11 @@ def test_what_a_ground_station_may_set_is_in_the_table() -> None:
 
 
 def test_the_document_is_what_the_table_says() -> None:
-    assert (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8") == document.text(), (
+    text = document.text()
+    assert (ROOT / "docs" / "tuning.md").read_text(encoding="utf-8") == text, (
         "write it anew: python -m nff_companion.daemon.document > docs/tuning.md"
     )
-    assert all(f"| `{field.path[-1]}` |" in document.text() for field in FIELDS)
+    assert all(f"| `{field.path[-1]}` |" in text for field in FIELDS)
 
 
 def constants(path: Path) -> set[str]:
