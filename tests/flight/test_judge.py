@@ -161,14 +161,14 @@ def test_confidence_goes_with_how_much_the_model_explains(
     noise: float, confidence: float, rng: np.random.Generator
 ) -> None:
     watch = Watch()
-    for k in range(round(8.0 * RATE_HZ)):
+    for k in range(round(24.0 * RATE_HZ)):
         motion = np.array([0.1, 1.0, 1.0, 0.1]) * rng.standard_normal(4)
         left = noise * rng.standard_normal(4)
         watch.measured.append(motion + left)
         watch.residual.append(left)
         watch.shown.append(np.full(4, QUAD.hover))
         watch.times.append(k / RATE_HZ)
-    watch.faults.append(Fault(1, 8.0, 0.0, 1.0))
+    watch.faults.append(Fault(1, 24.0, 0.0, 1.0))
     found = judgement(watch, QUAD, 0, RATE_HZ, ("RCOU", 200.0))
     assert found.verdict == "fault"
     assert found.faults[0].confidence == pytest.approx(confidence, abs=0.06)
