@@ -17,7 +17,7 @@ from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner
 from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
-from nff_companion.condition import Condition, Mode, Reason, Scalar, Statement, first, read_only
+from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
 from nff_companion.core.basis_network import Basis
@@ -31,6 +31,7 @@ from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import SolverError
+from nff_companion.outcome import Outcome, acting
 
 
 class Companion:
@@ -68,8 +69,7 @@ class Companion:
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
         self._fit = FitMonitor(vehicle, self._dt_s, o.fit)
         self._nothing = Knowledge.none(vehicle.axes)
-        self._none = read_only(np.zeros(vehicle.axes))
-        self._ones = read_only(np.ones(vehicle.motors))
+        self._outcome = Outcome(vehicle.motors, vehicle.axes)
 
     def rebuilt(
         self,
@@ -93,31 +93,13 @@ class Companion:
 
     def start(self, mode: Mode) -> CompanionState:
         """Nothing heard, nothing declared."""
-        m = self.vehicle.motors
-        failed, none = read_only(np.zeros(m, bool)), read_only(np.zeros(m, bool))
-        output = Output(
-            time_s=0.0,
-            mode=Mode.OBSERVE,
-            obstacle=Statement(Reason.WAITING),
-            flying=False,
-            failed=failed,
-            effectiveness=self._ones,
-            deviation=self._ones,
-            degraded=none,
-            events=(),
-            plan=None,
-            override=None,
-            estimate=None,
-            unallocated=self._none,
-            rejected=0,
-            bad_samples=0,
-        )
+        output = self._outcome.first()
         return CompanionState(
             mode=mode,
-            failed=failed,
+            failed=output.failed,
             last=output,
             planning=self._planner.start(),
-            speeds=RotorSpeedState.start(m),
+            speeds=RotorSpeedState.start(self.vehicle.motors),
             knowledge=self._nothing,
             adapted=None if self._adaptation is None else self._adaptation.start(),
             fit=self._fit.start(),
@@ -134,7 +116,7 @@ class Companion:
         To be called before ``step`` with the same sample: the answer rests on what was believed up to the sample
         before (u_k on g(x, u_(k-1)), equation (6.7)), so that no estimation stands between a sample and its outputs.
         """
-        if self._acting(state, condition) != Mode.OVERRIDE or state.estimate is None:
+        if acting(state, condition) != Mode.OVERRIDE or state.estimate is None:
             return state, None
         gap = _gap(state, sample)
         if gap is None or not self._follows(gap) or self._refused(sample) is not None:
@@ -363,13 +345,6 @@ class Companion:
         state = replace(state, bad_samples=state.bad_samples + 1, good_since_s=None, trouble=why)
         return self._said(state, condition, time_s)
 
-    @staticmethod
-    def _acting(state: CompanionState, condition: Condition) -> Mode:
-        """The mode that nothing stands in the way of."""
-        if state.trouble is not None or condition.command is not None or not state.trusted:
-            return Mode.OBSERVE
-        return Mode.OBSERVE if state.mode == Mode.ALLOCATE and condition.allocate is not None else state.mode
-
     def _said(
         self,
         state: CompanionState,
@@ -378,50 +353,9 @@ class Companion:
         estimate: Estimate | None = None,
         override: NDArray[np.float64] | None = None,
     ) -> tuple[CompanionState, Output]:
-        """The output; without a sample it bears the time of the last one."""
-        mode, planning, failed = self._acting(state, condition), state.planning, state.failed
-        if mode == Mode.OVERRIDE and override is None:
-            mode = Mode.ALLOCATE
-        if estimate is not None:
-            effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
-        else:
-            effectiveness, deviation = self._ones, self._ones
-            if failed.any():
-                effectiveness = read_only(np.where(failed, 0.0, 1.0))
-        output = Output(
-            time_s=state.last.time_s if time_s is None else time_s,
-            mode=mode,
-            obstacle=self._obstacle(state, condition, mode),
-            flying=state.watching,
-            failed=failed,
-            effectiveness=effectiveness,
-            deviation=deviation,
-            degraded=_shut(planning.degraded & ~failed),
-            events=() if estimate is None or time_s is None else tuple(estimate.events),
-            plan=planning.plan if mode != Mode.OBSERVE else None,
-            override=override if mode == Mode.OVERRIDE else None,
-            estimate=estimate,
-            unallocated=self._none if planning.plan is None else planning.plan.unallocated,
-            rejected=planning.rejected,
-            bad_samples=state.bad_samples,
-            fit=state.fit.fit,
-            trusted=state.trusted,
-            notes=state.notes(time_s, self.tuning.fit.word_s),
-        )
+        notes = state.notes(time_s, self.tuning.fit.word_s)
+        output = self._outcome.output(state, condition, time_s, estimate, override, notes)
         return replace(state, last=output), output
-
-    @staticmethod
-    def _obstacle(state: CompanionState, condition: Condition, mode: Mode) -> Statement | None:
-        """Why the mode in effect is not the one asked for, or why there is no matrix for what was decided."""
-        allocate = condition.allocate if state.mode == Mode.ALLOCATE else None
-        none = state.planning.refusal
-        no_plan = None
-        if none is not None:
-            no_plan = Statement(Reason.NO_PLAN, none.reason) if none.lift else Statement(Reason.NO_LIFT)
-        blind = state.blind if state.mode == Mode.OVERRIDE and mode == Mode.ALLOCATE else None
-        # What the autopilot itself says stands in the way is plainer than what the motion says.
-        doubt = state.doubt if condition.command is None else None
-        return first(state.trouble, condition.command, doubt, allocate, no_plan, blind)
 
 
 def _gap(state: CompanionState, sample: Sample) -> float | None:
@@ -434,10 +368,3 @@ def _motion(sample: Sample) -> Motion | None:
     if velocity is None or quaternion is None or not sample.moves_plausibly:
         return None
     return Motion(velocity, quaternion)
-
-
-def _shut(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """The same numbers, which nobody can write to through it."""
-    view = array.view()
-    view.flags.writeable = False
-    return view

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 GENERATED = "nff.py"
 PURE = ("core", "allocation", "control")
-PURE_FILES = ("admission.py", "companion.py", "companion_state.py", "condition.py", "verdict.py")
+PURE_FILES = ("admission.py", "companion.py", "companion_state.py", "condition.py", "outcome.py", "verdict.py")
 IMPURE = {
     "asyncio",
     "multiprocessing",
@@ -35,6 +35,7 @@ FLOORS = (
     {"allocation"},
     {"control"},
     {"admission", "companion_state"},
+    {"outcome"},
     {"companion"},
     {"autopilots"},
     {"verdict", "announcer", "settings", "vehicle_link"},

@@ -1,0 +1,106 @@
+"""What a step comes to: the mode in effect, what stands in the way, and the output that says so. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.companion_state import CompanionState, Output
+from nff_companion.condition import Condition, Mode, Reason, Scalar, Statement, first, read_only
+from nff_companion.core.estimate import Estimate
+
+
+def acting(state: CompanionState, condition: Condition) -> Mode:
+    """The mode that nothing stands in the way of."""
+    if state.trouble is not None or condition.command is not None or not state.trusted:
+        return Mode.OBSERVE
+    return Mode.OBSERVE if state.mode == Mode.ALLOCATE and condition.allocate is not None else state.mode
+
+
+def obstacle(state: CompanionState, condition: Condition, mode: Mode) -> Statement | None:
+    """Why the ``mode`` in effect is not the one asked for, or why there is no matrix for what was decided."""
+    allocate = condition.allocate if state.mode == Mode.ALLOCATE else None
+    none = state.planning.refusal
+    no_plan = None
+    if none is not None:
+        no_plan = Statement(Reason.NO_PLAN, none.reason) if none.lift else Statement(Reason.NO_LIFT)
+    blind = state.blind if state.mode == Mode.OVERRIDE and mode == Mode.ALLOCATE else None
+    # What the autopilot itself says stands in the way is plainer than what the motion says.
+    doubt = state.doubt if condition.command is None else None
+    return first(state.trouble, condition.command, doubt, allocate, no_plan, blind)
+
+
+class Outcome:
+    """Constants of a vehicle with so many motors and axes."""
+
+    def __init__(self, motors: int, axes: int) -> None:
+        self._none, self._ones = read_only(np.zeros(axes)), read_only(np.ones(motors))
+
+    def first(self) -> Output:
+        """Before anything was heard."""
+        motors = len(self._ones)
+        return Output(
+            time_s=0.0,
+            mode=Mode.OBSERVE,
+            obstacle=Statement(Reason.WAITING),
+            flying=False,
+            failed=read_only(np.zeros(motors, bool)),
+            effectiveness=self._ones,
+            deviation=self._ones,
+            degraded=read_only(np.zeros(motors, bool)),
+            events=(),
+            plan=None,
+            override=None,
+            estimate=None,
+            unallocated=self._none,
+            rejected=0,
+            bad_samples=0,
+        )
+
+    def output(
+        self,
+        state: CompanionState,
+        condition: Condition,
+        time_s: float | None,
+        estimate: Estimate | None,
+        override: NDArray[np.float64] | None,
+        notes: tuple[Statement, ...],
+    ) -> Output:
+        """Of a step; without a sample (``time_s`` None) it bears the time of the last one. ``override``: motor outputs
+        (m,) that answered the sample."""
+        mode, planning, failed = acting(state, condition), state.planning, state.failed
+        if mode == Mode.OVERRIDE and override is None:
+            mode = Mode.ALLOCATE
+        if estimate is not None:
+            effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
+        else:
+            effectiveness, deviation = self._ones, self._ones
+            if failed.any():
+                effectiveness = read_only(np.where(failed, 0.0, 1.0))
+        return Output(
+            time_s=state.last.time_s if time_s is None else time_s,
+            mode=mode,
+            obstacle=obstacle(state, condition, mode),
+            flying=state.watching,
+            failed=failed,
+            effectiveness=effectiveness,
+            deviation=deviation,
+            degraded=_shut(planning.degraded & ~failed),
+            events=() if estimate is None or time_s is None else tuple(estimate.events),
+            plan=planning.plan if mode != Mode.OBSERVE else None,
+            override=override if mode == Mode.OVERRIDE else None,
+            estimate=estimate,
+            unallocated=self._none if planning.plan is None else planning.plan.unallocated,
+            rejected=planning.rejected,
+            bad_samples=state.bad_samples,
+            fit=state.fit.fit,
+            trusted=state.trusted,
+            notes=notes,
+        )
+
+
+def _shut(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The same numbers, which nobody can write to through it."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
