@@ -72,7 +72,8 @@ def fly(airframe: str, cases: Sequence[Case], seed: int, *, turn: bool, rate_hz:
             height_m=0.0,
         )
         assert script is not None
-        for row, lifted_s in zip(found, script.lifted_s.tolist(), strict=True):
+        flown = [row for row in found if row["verdict"] != "refused"]
+        for row, lifted_s in zip(flown, script.lifted_s.tolist(), strict=True):
             row["lifted_s"] = round(lifted_s, 2)
             for key in ("contradicted_s", "fits_s"):
                 row[key] = None if row[key] is None else round(row[key] - lifted_s, 2)

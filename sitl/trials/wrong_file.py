@@ -21,6 +21,7 @@ import numpy as np
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicle_model
 from nff_companion.core.fit import FitVerdict
+from nff_companion.errors import ConfigError
 from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
@@ -168,42 +169,44 @@ def fly(
     personality: str = "plain",
 ) -> list[Any]:
     """One row a case: what the companion declared, thought of its file, and said, in so many ``seconds`` of flight from
-    ``height_m`` (0: from the ground); ``begin`` gives who flies. The autopilot is set up for what flies."""
-    true = [index for index, case in enumerate(cases) if case.kind != "estimated"]
-    guessed = [index for index, case in enumerate(cases) if case.kind == "estimated"]
+    ``height_m`` (0: from the ground); ``begin`` gives who flies. The autopilot is set up for what flies. What is wrong
+    with a file that is refused is found before the flight, at 0 s."""
     rows: list[Any] = [None] * len(cases)
-    for group, error, uncertainty in (
-        (true, 0.0, Uncertainty.exact()),
-        (guessed, _MODEL_ERROR, Uncertainty.estimated()),
-    ):
-        if not group:
-            continue
-        seeds = [seed + index for index in group]
-        wind = [WINDS_M_S[index % len(WINDS_M_S)] for index in range(len(group))]
-        plants = plant_airframe.load(vehicle_model.path_of(airframe), vehicles=len(group))
-        options = FleetOptions(
-            seeds=seeds,
-            model_error=error,
-            uncertainty=uncertainty,
-            wind_m_s=wind,
-            turbulence_m_s=[0.25 * w for w in wind],
-            height_m=height_m,
-        )
-        faults = [
-            Fault(vehicle=place, motor=cases[index].motors[0], start_s=_FAULT_S)
-            for place, index in enumerate(group)
-            if cases[index].kind == "failure"
-        ]
-        with temporary_card() as folder:
+    with temporary_card() as folder:
+        files = [altered(airframe, case, Path(folder) / f"{index}.toml") for index, case in enumerate(cases)]
+        refused = {index: why for index, file in enumerate(files) if (why := _refusal(file)) is not None}
+        for guessed, error, uncertainty in (
+            (False, 0.0, Uncertainty.exact()),
+            (True, _MODEL_ERROR, Uncertainty.estimated()),
+        ):
+            group = [
+                index
+                for index, case in enumerate(cases)
+                if index not in refused and (case.kind == "estimated") == guessed
+            ]
+            if not group:
+                continue
+            seeds = [seed + index for index in group]
+            wind = [WINDS_M_S[index % len(WINDS_M_S)] for index in range(len(group))]
+            options = FleetOptions(
+                seeds=seeds,
+                model_error=error,
+                uncertainty=uncertainty,
+                wind_m_s=wind,
+                turbulence_m_s=[0.25 * w for w in wind],
+                height_m=height_m,
+            )
+            faults = [
+                Fault(vehicle=place, motor=cases[index].motors[0], start_s=_FAULT_S)
+                for place, index in enumerate(group)
+                if cases[index].kind == "failure"
+            ]
             companions = {
-                place: TrialOptions(
-                    mode=Mode.ALLOCATE,
-                    confirmed=False,
-                    airframe=altered(airframe, cases[index], Path(folder) / f"{index}.toml"),
-                )
+                place: TrialOptions(mode=Mode.ALLOCATE, confirmed=False, airframe=files[index])
                 for place, index in enumerate(group)
             }
             autopilot = prepared(personality, vehicle_model.load(airframe), TrialOptions().allocation, folder)
+            plants = plant_airframe.load(vehicle_model.path_of(airframe), vehicles=len(group))
             flight = VirtualFlight(
                 Fleet(plants, options, faults),
                 companions,
@@ -213,16 +216,27 @@ def fly(
                 px4=autopilot.px4,
             )
             flown = _flown(flight, seconds, begin(flight))
-        for place, index in enumerate(group):
-            rows[index] = {
-                "airframe": airframe,
-                "personality": personality,
-                "case": cases[index].name,
-                "kind": cases[index].kind,
-                **flown[place],
-            }
-            rows[index] |= {"seed": seeds[place], "wind_m_s": wind[place]}
-    return rows
+            for place, index in enumerate(group):
+                rows[index] = {**flown[place], "seed": seeds[place], "wind_m_s": wind[place]}
+    for index, why in refused.items():
+        rows[index] = {**_unflown(why), "seed": seed + index, "wind_m_s": None}
+    about = {"airframe": airframe, "personality": personality}
+    return [{**about, "case": case.name, "kind": case.kind, **row} for case, row in zip(cases, rows, strict=True)]
+
+
+def _refusal(file: str) -> str | None:
+    """Why an airframe file is not taken at all."""
+    try:
+        vehicle_model.load(file)
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+def _unflown(why: str) -> dict[str, Any]:
+    """A row of a file that was refused."""
+    nothing: dict[str, Any] = {"declared": [], "off": [], "fits_s": None, "acted": False}
+    return nothing | {"contradicted_s": 0.0, "survived": True, "verdict": "refused", "text": why, "says": why}
 
 
 def _flown(flight: VirtualFlight, seconds: float, script: Pilot) -> list[dict[str, Any]]:

@@ -157,3 +157,15 @@ def test_a_confirmed_file_that_the_motion_contradicts_is_not_acted_upon(tmp_path
     fit = companion.session.document(0.0)["airframe_fit"]
     assert fit["verdict"] == "does_not_fit"
     assert fit["over_file"]["thrust"][0] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_file_that_is_refused_is_found_before_the_flight() -> None:
+    """Twice the mass of a vehicle with a thrust of 1.55 of its weight hovers at more than there is."""
+    right, twice = wrong_file.fly("px4-octo-x", [Case("right"), Case("twice", 2.0)], 5, seconds=1.0, personality="px4")
+    assert right["verdict"] == "unknown"
+    assert not right["acted"]
+    assert twice["contradicted_s"] == 0.0
+    assert "airframe.mass_kg = 12" in twice["says"]
+    assert not twice["acted"]
+    assert wrong_file.exception(twice) == ""
+    assert wrong_file.summary([right, twice])["twice"]["contradicted"] == 1
