@@ -276,7 +276,7 @@ class Companion:
         """Whether the motors answer when the file says, as far as is known: where they do not, each turn looks like a
         partial loss for a while."""
         later_s = state.fit.fit.seen.later_s
-        return later_s is None or abs(later_s) <= self.tuning.fit.said_lag_s
+        return later_s is None or abs(later_s) <= self.tuning.fit.partial_lag_s
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None

@@ -71,3 +71,6 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         float, span(0.1, 0.999, "", "share that roll or pitch must be explained by, for the lag: a gust looks like one")
     ] = 0.9
     said_lag_s: Annotated[float, span(0.001, 0.2, "s", "of the motors' response that is worth saying")] = 0.006
+    partial_lag_s: Annotated[
+        float, span(0.001, 0.2, "s", "of the same, beyond which a turn looks like a partial loss: none is acted upon")
+    ] = 0.004
