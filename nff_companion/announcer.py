@@ -25,6 +25,7 @@ _SAID = {
     Reason.WRONG_FILE: _ERROR,
     Reason.UNCONFIRMED: _WARNING,
     Reason.TELEMETRY_STOPPED: _ERROR,
+    Reason.ANOTHER_SYSTEM: _ERROR,
 }
 _LENGTH = 50
 

@@ -31,6 +31,7 @@ class Reason(Enum):
     # Samples that cannot be used.
     WAITING = (10, "waiting for telemetry")
     TELEMETRY_STOPPED = (10, "telemetry stopped")
+    ANOTHER_SYSTEM = (10, "telemetry stopped: {}")
     MOTOR_COUNT = (11, "telemetry has {}: check the airframe")
     OUTPUTS_MISSING = (11, "motor outputs missing in telemetry")
     NOT_FINITE = (11, "gyro or accelerometer not finite")

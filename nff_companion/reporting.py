@@ -194,6 +194,7 @@ class Reporter:
             "motors": self._motors(output),
             "failed": numbers(output.failed),
             "events": list(self._events),
+            "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],
             "unallocated": [round(float(v), 4) for v in output.unallocated],
             "learning": {

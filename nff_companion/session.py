@@ -154,6 +154,8 @@ class Session:
         """All that there is to say now."""
         output, condition = self.output, self._condition
         said = verdict(output, condition, self.state.mode, self._companion.parts, self._unconfirmed_s)
+        if said.reason == Reason.TELEMETRY_STOPPED:
+            said = self._link.instead() or said
         return Moment(output, condition, self.state.mode, said, self.adapter)
 
     def document(self, now_s: float) -> dict[str, Any]:

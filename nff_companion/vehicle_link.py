@@ -115,6 +115,10 @@ class VehicleLink:
         """What the pilot should hear of other vehicles."""
         return self._adoption.notes()
 
+    def instead(self) -> Statement | None:
+        """Who else is heard, now that the vehicle's telemetry has stopped."""
+        return self._adoption.instead()
+
     def findings(self, now_s: float) -> list[Finding]:
         """Who else is there."""
         obstacles = (self._adoption.obstacle(acting=False), self._twins.obstacle(now_s, acting=False))

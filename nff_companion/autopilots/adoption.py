@@ -34,6 +34,18 @@ _NO_VEHICLE = frozenset(
         dialect.MAV_TYPE_GROUND_ROVER,
         dialect.MAV_TYPE_SURFACE_BOAT,
         dialect.MAV_TYPE_SUBMARINE,
+        dialect.MAV_TYPE_AIRSHIP,
+        dialect.MAV_TYPE_FREE_BALLOON,
+        dialect.MAV_TYPE_ROCKET,
+        dialect.MAV_TYPE_FLAPPING_WING,
+        dialect.MAV_TYPE_KITE,
+        dialect.MAV_TYPE_PARAFOIL,
+        dialect.MAV_TYPE_PARACHUTE,
+        dialect.MAV_TYPE_OSD,
+        dialect.MAV_TYPE_ILLUMINATOR,
+        dialect.MAV_TYPE_SPACECRAFT_ORBITER,
+        dialect.MAV_TYPE_GROUND_QUADRUPED,
+        dialect.MAV_TYPE_GRIPPER,
     }
 )
 
@@ -100,6 +112,14 @@ class Adoption:
         if self._wanted or acting or len(self._vehicles) < 2:
             return None
         return Statement(Reason.AMBIGUOUS, " and ".join(map(str, sorted(self._vehicles))))
+
+    def instead(self) -> Statement | None:
+        """Who else is heard, now that the telemetry of the vehicle adopted has stopped: it may have come back under
+        another number."""
+        others = [system for system in sorted(self._vehicles) if system != self.system]
+        if self.system is None or not others:
+            return None
+        return Statement(Reason.ANOTHER_SYSTEM, f"not from {self.system}, system {others[0]} is heard")
 
     def notes(self) -> list[Statement]:
         """What the pilot should hear."""

@@ -59,6 +59,7 @@ def _table(state: dict[str, Any]) -> Any:
         f"dropped frames {state['counters']['dropped']}, unallocated {state['unallocated']}"
         + "".join(f"; {name} {s['hz']:.0f} of {s['asked_hz']:.0f} Hz" for name, s in state["slow_streams"].items())
         + "".join(f"; motor {motor}: speed sensor" for motor in state["speed_sensor_faults"])
+        + "".join(f"; {note}" for note in state.get("notes", []))
         + (f"; airframe file: {state['airframe_fit']['text']}" if "airframe_fit" in state else "")
         + (f"; {proposal['text']}" if proposal.get("state") not in ("off", "waiting") else "")
     )

@@ -12,6 +12,8 @@ from nff_companion.daemon.loop import IDLE_S, Loop
 from nff_companion.daemon.startup import endpoints, prepare
 from nff_companion.reporting import Moment
 
+_SILENT = (Reason.TELEMETRY_STOPPED, Reason.ANOTHER_SYSTEM)
+
 
 class FitCheck:
     """The session that the daemon would run, but one that may not act."""
@@ -42,7 +44,7 @@ class FitCheck:
                     elif now - began >= wait_s:
                         return fit
                     continue
-                silent = moment.verdict.reason == Reason.TELEMETRY_STOPPED and now - since[0] >= seconds
+                silent = moment.verdict.reason in _SILENT and now - since[0] >= seconds
                 if silent or output.time_s - since[1] >= seconds:
                     return fit
         finally:

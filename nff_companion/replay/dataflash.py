@@ -82,17 +82,21 @@ def _read(path: Path) -> _Log:
 
     rows: dict[str, list[list[float]]] = {}
     log, printed = _Log(), io.StringIO()
-    whole, lost = _whole(path)
+    data = _bytes(path)
+    whole, lost = _whole(data)
+    if not whole:
+        raise LogError(f"{path} holds no record; is it an ArduPilot log?")
     if lost:
         log.notes.append(f"{lost} bytes belong to no record and were passed over")
     try:
         with tempfile.NamedTemporaryFile(suffix=".bin") as clean:
-            if lost:
+            spoilt = len(whole) < len(data)
+            if spoilt:
                 # The reader complains of each byte, from compiled code too, and gives up at an unknown record.
                 clean.write(whole)
                 clean.flush()
             with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-                _take(DFReader.DFReader_binary(clean.name if lost else str(path)), log, rows)
+                _take(DFReader.DFReader_binary(clean.name if spoilt else str(path)), log, rows)
     except Exception as error:  # the reader raises whatever it trips over
         raise LogError(f"{path} is not a readable ArduPilot log: {error}") from error
     log.tables = {name: np.array(values) for name, values in rows.items()}
@@ -122,13 +126,17 @@ def _take(reader: Any, log: _Log, rows: dict[str, list[list[float]]]) -> None:
             rows.setdefault(name, []).append([at_s, *(_value(message, field) for field in wanted)])
 
 
-def _whole(path: Path) -> tuple[bytes, int]:
-    """The records that follow one another by the lengths that the log declares, and how many bytes belong to none.
-    What is left of the last page is not counted. Raises LogError."""
+def _bytes(path: Path) -> bytes:
+    """Raises LogError."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _whole(data: bytes) -> tuple[bytes, int]:
+    """The records that follow one another by the lengths that the log declares, and how many bytes belong to none.
+    What is left of the last page is not counted."""
     sizes, kept, at, begin, lost = {_FMT: _FMT_SIZE}, list[bytes](), 0, 0, 0
     while at + 3 <= len(data):
         size = sizes.get(data[at + 2], 0) if data.startswith(_HEAD, at) else 0

@@ -9,6 +9,7 @@ from nff_companion.companion_state import CompanionState, Output
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import basis_network
 from nff_companion.core.decision import Decision, Event
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.parts import Parts
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
@@ -20,6 +21,7 @@ from nff_companion.replay.watch import Fault, Judgement, Watch
 __all__ = ["Fault", "Judgement", "judge"]
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
+_FOLLOW_S = 3.0  # after a declaration it is looked at whether the motor works after all
 _BEGIN_S = 1.0  # of each flight left out of what is explained: take-off
 _JUDGED = Parts(judged=True)
 _FILTERS_S = 0.3  # and so long after a sample that could not be used: the filters start anew
@@ -40,7 +42,8 @@ def judge(
     network = basis_network.for_vehicle(vehicle, "airframe")
     companion = Companion(vehicle, rate_hz, tuning, network=network, parts=_JUDGED)
     decision = Decision(vehicle.motors, vehicle.axes, companion.tuning.decision)
-    watch, state, nobody = Watch(), companion.start(Mode.OBSERVE), Condition()
+    watch = Watch(works_from=companion.tuning.decision.lift_effectiveness)
+    state, nobody = companion.start(Mode.OBSERVE), Condition()
     settling: list[tuple[float, Event, Fault]] = []
     flying_since_s = estimating_since_s = None
     for stamp, sample in rows:
@@ -59,6 +62,8 @@ def judge(
                 fault.effectiveness = min(float(output.effectiveness[event.motor - 1]), 1.0)
         if trace is not None and output.estimate is not None:
             trace.add(stamp - first_s, output.estimate)
+        if output.estimate is not None and watch.faults:
+            _follow(watch, output.estimate, stamp - first_s)
         if state.estimate is not None and output.estimate is not None and not watch.faults:
             _doubt(watch, decision, output, sample.time_s)
             begun = flying_since_s is not None and sample.time_s - flying_since_s > _BEGIN_S
@@ -96,6 +101,15 @@ def _event(watch: Watch, event: Event, time_s: float) -> Fault | None:
             fault.lifted_s = time_s
             break
     return None
+
+
+def _follow(watch: Watch, estimate: Estimate, time_s: float) -> None:
+    """What the vehicle does without the motors that were declared first, once that shows."""
+    since_s = time_s - watch.faults[0].time_s
+    alone = all(fault.lifted_s is None and fault.time_s == watch.faults[0].time_s for fault in watch.faults)
+    if alone and _SETTLE_S < since_s < _FOLLOW_S:
+        watch.residual_after.append(estimate.raw)
+        watch.shown_after.append(estimate.thrust_shown)
 
 
 def _doubt(watch: Watch, decision: Decision, output: Output, time_s: float) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,17 +124,29 @@ def _windows(
     time_s: Array, gyro: Array, thrust: Array, flying: NDArray[np.bool_], rate_hz: float
 ) -> tuple[Array, Array]:
     """Windows (W, L, 3), (W, L, m) that are flown throughout and have no gap."""
-    grid = np.arange(time_s[0], time_s[-1], 1.0 / rate_hz)
     length = round(_WINDOW_S * rate_hz)
-    nearest = np.clip(np.searchsorted(time_s, grid), 0, len(time_s) - 1)
-    good = flying[nearest] & (np.abs(time_s[nearest] - grid) < 2.0 / rate_hz)
-    rates = np.stack([np.interp(grid, time_s, column) for column in gyro.T], axis=1)
-    driven = np.stack([np.interp(grid, time_s, column) for column in thrust.T], axis=1)
-    turning = np.gradient(rates, 1.0 / rate_hz, axis=0) if len(grid) > 1 else np.zeros_like(rates)
-    begins = [k for k in range(0, len(grid) - length + 1, length // 2) if good[k : k + length].all()]
-    if not begins:
-        return np.zeros((0, length, 3)), np.zeros((0, length, thrust.shape[1]))
-    return np.stack([turning[k : k + length] for k in begins]), np.stack([driven[k : k + length] for k in begins])
+    turning, driven = [np.zeros((0, length, 3))], [np.zeros((0, length, thrust.shape[1]))]
+    # Parts of their own where the time jumps: over a clock that was set in flight a grid has decades of points.
+    jumps = np.flatnonzero(np.diff(time_s) > _WINDOW_S) + 1
+    for begin, end in pairwise([0, *jumps, len(time_s)]):
+        part = slice(begin, end)
+        grid = np.arange(time_s[begin], time_s[end - 1], 1.0 / rate_hz)
+        if len(grid) < length:
+            continue
+        nearest = np.clip(np.searchsorted(time_s[part], grid), 0, end - begin - 1)
+        good = flying[part][nearest] & (np.abs(time_s[part][nearest] - grid) < 2.0 / rate_hz)
+        rates, asked = (_on(grid, time_s[part], values[part]) for values in (gyro, thrust))
+        rates = np.gradient(rates, 1.0 / rate_hz, axis=0)
+        for k in range(0, len(grid) - length + 1, length // 2):
+            if good[k : k + length].all():
+                turning.append(rates[None, k : k + length])
+                driven.append(asked[None, k : k + length])
+    return np.concatenate(turning), np.concatenate(driven)
+
+
+def _on(grid: Array, time_s: Array, values: Array) -> Array:
+    """Columns of ``values`` (N, c) at ``grid`` (K,)."""
+    return np.stack([np.interp(grid, time_s, column) for column in values.T], axis=1)
 
 
 def fit(vehicle: Vehicle, motion: Motion) -> Fit:

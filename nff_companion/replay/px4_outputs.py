@@ -191,6 +191,16 @@ def _of_outputs(
     return found
 
 
+def assigned_motors(values: Mapping[str, float]) -> int:
+    """How many motors, from the first on, the output functions of one driver name, most of any; 0: none."""
+    named: dict[str, set[int]] = {}
+    for name, value in values.items():
+        match = _FUNCTION.fullmatch(name)
+        if match is not None and not match[1].startswith(_NOT_OURS):
+            named.setdefault(match[1], set()).add(int(value) - _FIRST_MOTOR)
+    return max((next(k for k in range(len(motors) + 1) if k not in motors) for motors in named.values()), default=0)
+
+
 def _groups(values: Mapping[str, float], motors: int) -> dict[str, list[int]]:
     """Channels (from 0) of the motors by the prefix of a driver's parameters; only drivers that have them all."""
     places: dict[str, dict[int, int]] = {}

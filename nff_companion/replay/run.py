@@ -26,7 +26,11 @@ _READERS = {".ulg": ulog.flights, ".ulog": ulog.flights, ".bin": dataflash.fligh
 
 def flights(path: Path) -> list[LogFlight]:
     """The flights of a log, one of each vehicle that is in it, before an airframe is chosen. Raises LogError."""
-    if not path.is_file():
+    try:
+        is_file = path.is_file()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise LogError(f"{path} cannot be read: {error.strerror}") from error
+    if not is_file:
         raise LogError(f"{path} is not a file")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:

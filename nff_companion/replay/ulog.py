@@ -69,7 +69,7 @@ def flights(path: Path) -> list[LogFlight]:
             autopilot="px4",
             system=None,
             parameters=parameters,
-            frame=_frame(values) or _frame_by_outputs(topics, armed),
+            frame=_frame(values, topics, armed),
             first_s=first_s,
             take_off_s=take_off_s,
             read=lambda vehicle: _rows(topics, values, armed, vehicle),
@@ -78,17 +78,25 @@ def flights(path: Path) -> list[LogFlight]:
     ]
 
 
-def _frame(values: Mapping[str, float]) -> Frame | None:
+def _frame(values: Mapping[str, float], topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
+    """What the parameters say; how many motors it has, where they do not, by the outputs. None: nothing is known."""
     count, start = values.get("CA_ROTOR_COUNT"), values.get("SYS_AUTOSTART")
-    kind = values.get("MAV_TYPE")
-    motors = int(count) if count else _MOTORS.get(-1 if kind is None else int(kind))
-    if count or start:
-        return Frame(f"{count:.0f} rotors (CA_ROTOR_COUNT)" if count else f"SYS_AUTOSTART {start:.0f}", motors)
-    return None if motors is None else Frame(f"{motors} motors by MAV_TYPE {kind:.0f}", motors)
+    if count:
+        return Frame(f"{count:.0f} rotors (CA_ROTOR_COUNT)", int(count))
+    motors = _motors(values, topics, armed)
+    if start:
+        return Frame(f"SYS_AUTOSTART {start:.0f}", None if motors is None else motors.motors)
+    return motors
 
 
-def _frame_by_outputs(topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
-    """As many motors as are driven; None: that is not in the log."""
+def _motors(values: Mapping[str, float], topics: Topics, armed: NDArray[np.float64] | None) -> Frame | None:
+    """By output functions, by MAV_TYPE, or as many as are driven; None: that is not in the log."""
+    assigned, kind = px4_outputs.assigned_motors(values), values.get("MAV_TYPE")
+    if assigned >= MOTORS_MIN:
+        return Frame(f"{assigned} motors by output functions", assigned)
+    told = _MOTORS.get(-1 if kind is None else int(kind))
+    if told is not None:
+        return Frame(f"{told} motors by MAV_TYPE {kind:.0f}", told)
     count, name = px4_outputs.driven_motors(topics, armed)
     return Frame(f"{count} outputs are driven ({name})", count) if count >= MOTORS_MIN else None
 

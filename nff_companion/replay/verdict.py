@@ -28,6 +28,8 @@ _EXPLAINED_MIN = -1.0
 _RESIDUAL_MOTORS = 0.15
 _MEAN_MAX_MOTORS = 2.5  # mean residual, in losses of one motor at hover: beyond it is another vehicle
 _SPARSE_HZ = 50.0
+_AFTER_S = 0.5  # of flight after a declaration, to see whether the motor works
+_DRIVEN = 0.2  # of the thrust of hover: a motor that is asked for less shows little
 # What the model explains of roll and pitch, the lesser, from which on it takes nothing from a declaration's confidence.
 _TRUSTED = 0.5
 
@@ -49,6 +51,8 @@ def judgement(watch: Watch, vehicle: Vehicle, refused: int, rate_hz: float, outp
         explained = np.maximum(explained, 0.0)
     if explained is None and watch.faults:
         note = f"not checked against healthy flight, of which there are {healthy / rate_hz:.1f} s"
+        wrong = _unchecked(healthy / rate_hz, *outputs)
+    wrong = wrong or _works(watch, vehicle, rate_hz, *outputs)
     if wrong and watch.faults:
         named = " and ".join(str(fault.motor) for fault in watch.faults)
         wrong += f" (motor {named} would have been declared)"
@@ -127,6 +131,36 @@ def _unforetold(
     if outputs_hz < _SPARSE_HZ:
         return f"{outputs} at {outputs_hz:.0f} Hz is too seldom for this motion: {found}; log outputs faster"
     return f"the outputs do not foretell the motion: {found}; check airframe, inertia and motor order"
+
+
+def _works(watch: Watch, vehicle: Vehicle, rate_hz: float, outputs: str, outputs_hz: float) -> str:
+    """Which motor pulls after it was declared, by the mean of what outputs that come seldom leave unexplained: between
+    two of them a motion that begins may look like a loss for as long as a declaration takes, and no longer."""
+    if outputs_hz >= _SPARSE_HZ or len(watch.residual_after) < _AFTER_S * rate_hz:
+        return ""
+    motors = [fault.motor - 1 for fault in watch.faults if fault.time_s == watch.faults[0].time_s]
+    driven, scale = np.mean(watch.shown_after, axis=0)[motors], _one_motor(vehicle)
+    if (driven < _DRIVEN * vehicle.hover).any():
+        return ""  # at rest it shows nothing
+    pulls = vehicle.acceleration_effectiveness[:, motors] * driven / scale[:, None]
+    left, *_ = np.linalg.lstsq(pulls, np.mean(watch.residual_after, axis=0) / scale, rcond=None)
+    works = int(left.argmax())
+    if left[works] < watch.works_from:
+        return ""
+    return (
+        f"{outputs} at {outputs_hz:.0f} Hz is too seldom for this motion: motor {motors[works] + 1} seemed lost at"
+        f" {watch.faults[0].time_s:.2f} s, and pulls all the same in the seconds after; log outputs faster"
+    )
+
+
+def _unchecked(healthy_s: float, outputs: str, outputs_hz: float) -> str:
+    """What comes seldom may be samples of anything: a declaration by it needs flight that says otherwise."""
+    if outputs_hz >= _SPARSE_HZ:
+        return ""
+    return (
+        f"{outputs} at {outputs_hz:.0f} Hz is seldom, and {healthy_s:.1f} s of flight before are too few to see whether"
+        " they foretell the motion; log outputs faster"
+    )
 
 
 def _unseen(watch: Watch, vehicle: Vehicle, rate_hz: float, healthy: int) -> str:

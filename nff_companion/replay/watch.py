@@ -48,7 +48,11 @@ class Watch:
     residual: list[NDArray[np.float64]] = field(default_factory=list)
     shown: list[NDArray[np.float64]] = field(default_factory=list)  # (m,) each, thrust fractions as they show in them
     times: list[float] = field(default_factory=list)  # s from the first record, of each
+    # What follows the first declaration, until there is another one or it is lifted, in the same way: (n,), (m,) each.
+    residual_after: list[NDArray[np.float64]] = field(default_factory=list)
+    shown_after: list[NDArray[np.float64]] = field(default_factory=list)
     thrust_max: float = 0.0  # of the mean of the motors while armed
     doubtful: tuple[int, ...] = ()  # motors (from 0) that were convincing, and too many to be declared
     doubtful_since_s: float | None = None
+    works_from: float = 1.0  # effectiveness, as the decision has it
     suspects: tuple[int, ...] = ()

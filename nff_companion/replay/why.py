@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -52,16 +53,12 @@ class Answer:
 
 
 def logs_in(paths: list[Path]) -> list[Path]:
-    """The files, and of folders the logs in them, sorted; each once. Raises LogError for a folder without any."""
+    """The files, and of folders the logs in them, sorted; each once. A folder without any stands for itself."""
     out: dict[Path, None] = {}
     for path in paths:
-        if not path.is_dir():
-            out[path] = None
-            continue
-        found = sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
-        if not found:
-            raise LogError(f"{path}: no log ({', '.join(SUFFIXES)}) is in this folder")
-        out |= dict.fromkeys(found)
+        inside = path.rglob("*") if os.path.isdir(path) else ()  # unlike Path.is_dir it raises nothing
+        found = sorted(p for p in inside if p.suffix.lower() in SUFFIXES and not os.path.isdir(p))
+        out |= dict.fromkeys(found or [path])
     return list(out)
 
 
@@ -83,6 +80,8 @@ def outputs_of(text: str) -> LogTable:
 def answer(path: Path, question: Question) -> Answer:
     """Of one file. Nothing but what is wrong with the question is raised (ConfigError)."""
     with _uncollected():
+        if os.path.isdir(path):
+            return Answer(path, error=f"{path}: no log ({', '.join(SUFFIXES)}) is in this folder")
         try:
             found = run.flights(path)
         except LogError as error:

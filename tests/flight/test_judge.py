@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
 from nff_companion.core.sample import Sample
-from nff_companion.core.vehicle import GRAVITY_M_S2, ROLL, Vehicle
+from nff_companion.core.vehicle import GRAVITY_M_S2, PITCH, ROLL, Vehicle
 from nff_companion.replay.judge import Judgement, judge
 from nff_companion.replay.verdict import judgement
 from nff_companion.replay.watch import Fault, Watch
@@ -23,21 +23,22 @@ def flown(
     model: Vehicle,
     rng: np.random.Generator,
     *,
-    sway: Callable[[float], float] = lambda time_s: 0.0,
+    sway: Callable[[float], float | tuple[float, float]] = lambda time_s: 0.0,
     logged_every: int = 1,
     lost: dict[int, float] | None = None,
     seconds: float = 12.0,
     between_s: tuple[float, float] = (8.0, np.inf),
     spoilt_every: int = 0,
 ) -> Judgement:
-    """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left;
-    ``between_s`` without the motors ``lost`` (share that is left). What is logged is every so many-th output, held."""
-    left = np.sign(model.effectiveness_si[ROLL])
+    """A rigid body whose motors push as they are asked to: at hover, and ``sway`` (t) of it more on the left
+    (and in front); ``between_s`` without the motors ``lost`` (share that is left). What is logged is every so many-th
+    output, held."""
+    sides = np.sign(model.effectiveness_si[[ROLL, PITCH]])
     rate, lagged, logged = np.zeros(3), np.full(model.motors, model.hover), np.full(model.motors, model.hover)
     rows: list[tuple[float, Sample]] = []
     for k in range(round(seconds * RATE_HZ)):
         time_s = 10.0 + k / RATE_HZ
-        asked = model.hover * (1.0 + sway(k / RATE_HZ) * left)
+        asked = model.hover * (1.0 + np.append(sway(k / RATE_HZ), 0.0)[:2] @ sides)
         if k % logged_every == 0:
             logged = asked
         lagged = lagged + (asked - lagged) * (1.0 - np.exp(-1.0 / RATE_HZ / model.motor.time_constant_up_s))
@@ -73,6 +74,31 @@ def test_outputs_that_come_too_seldom_for_the_motion_are_no_evidence(rng: np.ran
     assert seldom.verdict == "not_judged"
     assert "RCOU at 10 Hz is too seldom" in seldom.reason
     assert seldom.faults == []
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "why"), [(0.0, "too few to see"), (8.0, "seemed lost at 8.0")], ids=["from take-off", "out of a hover"]
+)
+def test_a_motion_that_begins_between_two_outputs_is_no_loss(
+    begin_s: float, why: str, rng: np.random.Generator
+) -> None:
+    def rocking(time_s: float) -> tuple[float, float]:
+        if time_s <= begin_s:
+            return 0.0, 0.0
+        return 0.4 * np.sin(2.0 * np.pi * 5.0 * time_s), 0.28 * np.sin(2.0 * np.pi * 5.15 * time_s + 1.5)
+
+    fast = flown(QUAD, rng, sway=rocking, between_s=(np.inf, np.inf))
+    assert fast.verdict == "no_fault"
+    seldom = flown(QUAD, rng, sway=rocking, between_s=(np.inf, np.inf), logged_every=20)
+    assert (seldom.verdict, seldom.faults) == ("not_judged", [])
+    assert why in seldom.reason
+    assert "would have been declared" in seldom.reason
+
+
+@pytest.mark.parametrize("left", [0.0, 0.3])
+def test_a_loss_is_a_fault_by_outputs_at_10_hz_too(left: float, rng: np.random.Generator) -> None:
+    found = flown(QUAD, rng, lost={2: left}, seconds=9.0, logged_every=20)
+    assert (found.verdict, [fault.motor for fault in found.faults]) == ("fault", [2])
 
 
 def test_a_slow_motion_is_judged_by_outputs_at_10_hz(rng: np.random.Generator) -> None:

@@ -167,6 +167,20 @@ def test_silence_is_said_without_a_number_that_grows_old_and_the_autopilots_word
     assert companion.session.document(9.0)["autopilot"]["armed"] is False
 
 
+def test_a_vehicle_that_came_back_as_another_system_is_said_in_the_reason_and_then_followed() -> None:
+    """An autopilot that restarted with another SYSID_THISMAV: for as long as the first may come back, it is said."""
+    trial = flight([], mode=Mode.OBSERVE)
+    session = fly(trial, 3.0).session
+    said = {}
+    for k in range(60):
+        now_s = 3.0 + 0.1 * k
+        session.take(autopilot_heartbeat(7), 0, now_s)
+        session.due(now_s)
+        said[k] = session.document(now_s)
+    assert said[10]["reason"] == "telemetry stopped: not from 1, system 7 is heard"
+    assert said[59]["autopilot"]["system"] == 7
+
+
 def test_one_sample_again_and_again_is_silence() -> None:
     held: list[Sample] = []
 

@@ -16,7 +16,7 @@ from log_files import GOOD_PARAMETERS
 from typer.testing import CliRunner
 
 from nff_companion.cli.main import app
-from nff_companion.errors import ConfigError, LogError
+from nff_companion.errors import ConfigError
 from nff_companion.replay import why_schema
 from nff_companion.replay.tlog import first_stamp
 from nff_companion.replay.why import logs_in, outputs_of
@@ -105,8 +105,9 @@ def test_files_and_folders_are_read_in_order_over_processes(tmp_path: Path) -> N
 
 
 def test_a_folder_without_logs_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no log"):
-        logs_in([tmp_path])
+    asked = Asked(tmp_path)
+    assert (asked.code, asked.flights) == (2, [])
+    assert "no log" in asked.errors
 
 
 def test_each_flight_has_a_page_of_its_own(tmp_path: Path) -> None:

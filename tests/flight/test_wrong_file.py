@@ -140,6 +140,7 @@ def test_a_failure_before_the_file_is_confirmed_is_reported_and_not_acted_upon()
     assert companion.output.plan is None
     notes = {note.reason: note.text for note in companion.output.notes}
     assert notes[Reason.HELD_BACK] == "motor 3 lost, or the airframe file is wrong"
+    assert notes[Reason.HELD_BACK] in companion.session.document(3.0)["notes"]
 
 
 def test_a_confirmed_file_acts_at_once() -> None:

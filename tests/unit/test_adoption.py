@@ -22,8 +22,14 @@ def adoption(octo: Vehicle, choice: Choice = "auto", system: int = 0) -> Adoptio
 @pytest.mark.parametrize("choice", ["auto", "px4"])
 @pytest.mark.parametrize(
     ("kind", "autopilot"),
-    [(14, 8), (2, 8), (5, 3), (6, 8), (18, 8), (26, 3), (30, 3), (1, 3), (10, 12)],
-    ids=["no autopilot", "no autopilot 2", "tracker", "station", "companion", "gimbal", "camera", "wing", "rover"],
+    [
+        *[(14, 8), (2, 8), (5, 3), (6, 8), (18, 8), (26, 3), (30, 3), (1, 3), (10, 12)],
+        *[(7, 3), (8, 0), (9, 0), (16, 3), (17, 0), (28, 12), (42, 3)],
+    ],
+    ids=[
+        *["no autopilot", "no autopilot 2", "tracker", "station", "companion", "gimbal", "camera", "wing", "rover"],
+        *["airship", "balloon", "rocket", "flapping", "kite", "parafoil", "winch"],
+    ],
 )
 def test_who_has_no_motors_to_reallocate_is_no_vehicle(
     octo: Vehicle, choice: Choice, kind: int, autopilot: int
