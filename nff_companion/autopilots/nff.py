@@ -65,8 +65,7 @@ class NffAdapter:
 
     def condition(self, now_s: float) -> Condition:
         """An autopilot that does not answer does not obey either."""
-        answers = now_s - self._applied_s <= times.ANSWER_MAX_S
-        obstacle = None if answers else _SILENT
+        obstacle = None if now_s - self._applied_s <= times.ANSWER_MAX_S else _SILENT
         if self._decoder.drives_more:
             # This autopilot drives nothing but motors: the airframe file is another vehicle's.
             more = f"the autopilot drives more outputs than the airframe's {self._vehicle.motors} motors"
@@ -75,7 +74,7 @@ class NffAdapter:
             armed=self._decoder.armed,
             command=obstacle,
             takes_matrix=True,
-            in_force=self._in_force if answers else InForce(),  # what it held once is nobody's word for now
+            in_force=self._in_force,
         )
 
     def encode(self, command: Command) -> list[Message]:

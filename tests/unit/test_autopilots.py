@@ -185,17 +185,3 @@ def test_no_sequence_is_used_twice_and_every_command_bears_its_time(octo: Vehicl
     assert [m.sample_usec for m in messages] == [10_000_000, 10_100_000, 10_200_000, 10_300_000]
     assert len({m.sequence for m in messages}) == 4
     assert (messages[0].failed_mask, messages[1].valid, messages[3].valid) == (1, 1, 0)
-
-
-def test_what_a_silent_autopilot_held_is_no_longer_said_of_it(octo: Vehicle) -> None:
-    adapter = NffAdapter(octo, (1, 1))
-    adapter.observe(dialect.MAVLink_nff_applied_message(1_000_000, 0, 0, 1, 4, *[0] * 7, int(Source.MATRIX)), 10.0)
-    heard = adapter.condition(10.5)
-    assert heard.command is None
-    assert heard.in_force.source == Source.MATRIX
-    assert heard.in_force.holds(np.arange(octo.motors) == 2)
-    silent = adapter.condition(11.5)
-    assert silent.command is not None
-    assert silent.command.reason == Reason.SILENT
-    assert silent.in_force.failed is None
-    assert silent.in_force.source == Source.STOCK
