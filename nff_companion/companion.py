@@ -234,7 +234,7 @@ class Companion:
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         planning, adapted = state.planning, state.adapted
         if state.trusted and not self._only_judges:
-            planning = self._planner.step(planning, time_s, estimate, trust_partial=self._lag_fits(state))
+            planning = self._planner.step(planning, time_s, estimate, trust_partial=self._fits_closely(state))
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
@@ -272,11 +272,11 @@ class Companion:
         )
         return self._estimator.step(before, measurement)
 
-    def _lag_fits(self, state: CompanionState) -> bool:
-        """Whether the motors answer when the file says, as far as is known: where they do not, each turn looks like a
+    def _fits_closely(self, state: CompanionState) -> bool:
+        """Whether nothing that was flown is worth saying of the file: where lag or gains are off, a turn looks like a
         partial loss for a while."""
-        later_s = state.fit.fit.seen.later_s
-        return later_s is None or abs(later_s) <= self.tuning.fit.partial_lag_s
+        fit, later_s = state.fit.fit, state.fit.fit.seen.later_s
+        return not fit.differs and (later_s is None or abs(later_s) <= self.tuning.fit.partial_lag_s)
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None

@@ -135,6 +135,8 @@ def _open(seen: Seen, tuning: FitTuning) -> Iterator[str]:
     for name, factor in (("thrust", seen.thrust), *zip(TURNS, seen.turns, strict=True)):
         if factor is not None and factor.beyond(tuning.fits):
             yield f"{name} too far off"
+    if seen.later_s is not None and abs(seen.later_s) > tuning.said_lag_s:
+        yield f"motors answer too {'late' if seen.later_s > 0.0 else 'soon'}"
     unseen = [axis for axis, factor in zip(TURNS, seen.turns, strict=True) if factor is None]
     if unseen:
         yield f"too little {', '.join(unseen)} flown"

@@ -170,3 +170,15 @@ def test_a_file_that_is_refused_is_found_before_the_flight() -> None:
     assert not twice["acted"]
     assert wrong_file.exception(twice) == ""
     assert wrong_file.summary([right, twice])["twice"]["contradicted"] == 1
+
+
+@pytest.mark.parametrize(("seed", "count"), [(18801, 1), (18864, 1), (18811, 2)])
+def test_a_file_by_which_motors_answer_too_soon_or_too_late_is_not_confirmed_by_the_flight(
+    seed: int, count: int
+) -> None:
+    """Estimated files that were off by 8 ms and more, and by gains as well: a healthy motor was declared in a turn."""
+    for row in wrong_file.fly("octo-x", [Case("estimated")] * count, seed, seconds=SECONDS):
+        assert row["declared"] == [], row
+        assert not row["acted"], row
+    assert row["fits_s"] is None
+    assert "motors answer" in row["text"]
