@@ -273,10 +273,12 @@ class Companion:
         return self._estimator.step(before, measurement)
 
     def _fits_closely(self, state: CompanionState) -> bool:
-        """Whether nothing that was flown is worth saying of the file: where lag or gains are off, a turn looks like a
-        partial loss for a while."""
+        """Whether a partial loss may be believed: where the lag is off, or the gains of a file that only the flight has
+        confirmed, a turn looks like one for a while."""
         fit, later_s = state.fit.fit, state.fit.fit.seen.later_s
-        return not fit.differs and (later_s is None or abs(later_s) <= self.tuning.fit.partial_lag_s)
+        if later_s is not None and abs(later_s) > self.tuning.fit.partial_lag_s:
+            return False
+        return state.confirmed or not fit.differs
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None
