@@ -55,6 +55,7 @@ class Seen:
     later_s: float | None = None  # that motors answer later than the file says
     order: str = ""  # the likeliest, in words; empty: the file's
     margin: float = 0.0  # chi squared from the file's order to the likeliest other; below 0: that one is likelier
+    turned: bool = False  # the likeliest other is the file's, with its nose elsewhere
     ambiguous: bool = False  # another wrong order is nearly as likely as the likeliest one
     misfit: float = 0.0  # chi squared of the file's order
     least_misfit: float = 0.0  # and of the likeliest other
@@ -92,7 +93,7 @@ def judged(seen: Seen, tuning: FitTuning) -> Fit:
 
 def _wrong(seen: Seen, tuning: FitTuning) -> Iterator[tuple[str, str]]:
     """What no vehicle of this file does, the plainest first."""
-    if seen.margin <= -tuning.order_margin:
+    if seen.margin <= -(tuning.nose_margin if seen.turned else tuning.order_margin):
         if seen.ambiguous or seen.least_misfit > tuning.misfit_max:
             yield "motors in another order", "the motors are in another order, or of another frame, than the file says"
         else:

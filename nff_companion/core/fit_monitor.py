@@ -179,6 +179,7 @@ class FitMonitor:
             later_s=min(clear, key=abs) + o.early_s if enough and clear else None,
             order=self._orders[other].text if chi[other] < chi[0] else "",
             margin=float(chi[other] - chi[0]),
+            turned=self._orders[other].turned_deg != 0.0,
             ambiguous=bool(wrong[1] - wrong[0] < 0.5 * o.order_margin),
             misfit=float(chi[0]),
             least_misfit=float(chi[other]),

@@ -160,6 +160,15 @@ def test_a_confirmed_file_that_the_motion_contradicts_is_not_acted_upon(tmp_path
     assert fit["over_file"]["thrust"][0] == pytest.approx(0.5, abs=0.06)
 
 
+@pytest.mark.parametrize(("motor", "seed"), [(7, 7700), (1, 7109)])
+def test_a_motor_lost_by_a_file_that_is_not_confirmed_does_not_look_like_a_nose_elsewhere(
+    motor: int, seed: int
+) -> None:
+    *_, windy = wrong_file.fly("coax-x8", [Case("failure", motors=(motor,))] * 3, seed, seconds=9.0)
+    assert windy["wind_m_s"] == 4.0
+    assert windy["contradicted_s"] is None, windy
+
+
 def test_a_file_that_is_refused_is_found_before_the_flight() -> None:
     """Twice the mass of a vehicle with a thrust of 1.55 of its weight hovers at more than there is."""
     right, twice = wrong_file.fly("px4-octo-x", [Case("right"), Case("twice", 2.0)], 5, seconds=1.0, personality="px4")

@@ -38,6 +38,12 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     order_margin: Annotated[
         float, span(5.0, 500.0, "", "chi squared by which one order must be likelier: measured 30 to 130 after a turn")
     ] = 20.0
+    nose_margin: Annotated[
+        float,
+        span(
+            5.0, 500.0, "", "the same for a nose elsewhere: 2 s after a motor was lost it looked likelier by up to 27"
+        ),
+    ] = 45.0
     misfit_max: Annotated[
         float, span(20.0, 5000.0, "", "chi squared of an order that fits: measured at most 83, and 50 after 10 s")
     ] = 120.0
