@@ -76,8 +76,8 @@ class Planner:
     def step(
         self, state: PlannerState, time_s: float, estimate: Estimate, *, trust_partial: bool = True
     ) -> PlannerState:
-        """Solve the allocation again when what is believed of the motors has moved; ``trust_partial`` False: what looks
-        like a partial loss may be an error of the model."""
+        """Solve the allocation again when what is believed of the motors has moved; ``trust_partial`` False: what
+        begins to look like a partial loss may be an error of the model."""
         o = self._tuning
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any()
@@ -127,7 +127,9 @@ class Planner:
         if self._given_target is not None:
             return state.low_since_s, self._given_target(estimate)
         low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < o.deviation_max) & ~estimate.failed
-        if int(low.sum()) > 1 or not trust_partial:
+        if not trust_partial:
+            low &= state.degraded  # what is in force ends with the loss: a doubt that comes and goes must not switch it
+        if int(low.sum()) > 1:
             low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
         target = np.ones(self._vehicle.motors)
         low_since = np.where(low, np.fmin(state.low_since_s, time_s), np.nan)

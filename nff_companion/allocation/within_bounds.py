@@ -69,7 +69,7 @@ def desaturate(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Motor thrusts (m,) in 0..1 for ``demand`` (n,): yaw is cut first, then thrust moves, then roll and pitch.
 
-    Returns the thrusts and the demand that was served. In plain numbers: for so few arrays take five times as long.
+    Returns the thrusts and the demand that was served. In plain numbers: arrays take half as long again for so few.
     """
     out = matrix @ demand
     if _within(out):

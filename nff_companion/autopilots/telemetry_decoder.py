@@ -148,7 +148,7 @@ class TelemetryDecoder:
         if self._vehicle.motors > _MAX_SERVOS:
             return
         pulses = self._pulses(message)
-        self._output = self._vehicle.outputs_of_pulses(pulses)
+        self._output = self._vehicle.output_of_pwm(np.array(pulses, float))
         if self._armed and min(pulses) <= 0:
             # An output that an armed autopilot does not drive is no motor: the airframe is another one.
             self._output = np.full_like(self._output, np.nan)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -175,11 +174,6 @@ class Vehicle:
         """Motor output 0..1 of a pulse width."""
         c = self.command
         return np.minimum(np.maximum((pwm_us - c.pwm_min) / (c.pwm_max - c.pwm_min), 0.0), 1.0)
-
-    def outputs_of_pulses(self, pulses_us: Sequence[float]) -> NDArray[np.float64]:
-        """The same of one message (m,), in plain numbers: half the time for so few."""
-        low, span = self.command.pwm_min, self.command.pwm_max - self.command.pwm_min
-        return np.array([min(max((pulse - low) / span, 0.0), 1.0) for pulse in pulses_us])
 
     def with_telemetry(self, telemetry: TelemetryTable) -> Vehicle:
         """The same airframe behind other filters. The delay of the outputs stays: it is no filter's."""

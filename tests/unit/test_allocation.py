@@ -218,6 +218,14 @@ def test_desaturation_cuts_yaw_first_and_stays_within_bounds(octo: Vehicle, rng:
     assert (octo.effectiveness @ thrust)[1] == pytest.approx(0.3, abs=1e-6)
 
 
+@pytest.mark.parametrize("axis", range(4))
+def test_a_demand_that_is_no_number_never_becomes_thrusts_that_look_like_some(octo: Vehicle, axis: int) -> None:
+    matrix = allocator("trim")(problem_for(octo.effectiveness, np.ones(8), octo.hover))
+    for demand in ([0.4, 0.0, 0.0, 0.0], [0.9, 0.5, -0.4, 0.6]):
+        demand[axis] = np.nan
+        assert not np.isfinite(desaturate(matrix, np.array(demand))[0].sum())
+
+
 def test_a_solver_that_fails_leaves_thrusts_within_bounds(
     octo: Vehicle, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:

@@ -111,9 +111,3 @@ def test_a_tumbling_vehicle_is_never_asked_for_negative_thrust(octo: Vehicle) ->
     for known in (0.0, 3.0, 8.0, 30.0):
         answer = demand(octo, quaternion=upside_down, disturbance=[known, 0, 0, 0])
         assert answer[0] >= 0.1 * octo.hover
-
-
-def test_outputs_of_one_message_are_those_of_many(octo: Vehicle, rng: np.random.Generator) -> None:
-    for _ in range(50):
-        pulses = rng.uniform(800.0, 2200.0, octo.motors)
-        assert octo.outputs_of_pulses(pulses.tolist()).tolist() == octo.output_of_pwm(pulses).tolist()

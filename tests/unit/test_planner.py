@@ -42,8 +42,13 @@ def test_a_lasting_partial_loss_is_allocated_around_where_the_model_can_be_trust
         state = planner.step(state, 0.005 * k, estimate, trust_partial=trusted)
     assert (state.plan is not None) == trusted
     assert state.degraded.tolist() == [trusted and motor == 3 for motor in range(1, octo.motors + 1)]
-    # What was in force is taken back once the doubt is there.
+    # A doubt that comes and goes switches nothing; what is in force ends with the loss.
+    before = state.plan
     for k in range(400, 800):
+        state = planner.step(state, 0.005 * k, estimate, trust_partial=bool(k % 2))
+        assert state.plan is before or not trusted
+    estimate.effectiveness[2] = 1.0
+    for k in range(800, 1200):
         state = planner.step(state, 0.005 * k, estimate, trust_partial=False)
     assert state.plan is None
     assert not state.degraded.any()
