@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from nff_companion.core.vehicle import GRAVITY_M_S2, Vehicle
 from nff_companion.replay.flight import Row
@@ -24,7 +25,8 @@ _BAND_HZ = (2.0, 15.0)  # below it wind and trim, above it vibration
 _NYQUIST_SHARE = 0.4  # of the rate of the samples
 _RATE_MIN_HZ = 20.0  # of samples and of outputs: with less the band holds nothing but what lies beyond it
 _PART, _PART_LEAST_S, _PART_MOST_S = 0.2, 5.0, 120.0  # of the flight that is looked at, from its beginning
-_LAGS_S = (0.005, 0.015, 0.03, 0.045, 0.065, 0.09, 0.12)
+_LAGS_S = (0.005, 0.015, 0.03, 0.045, 0.065, 0.09, 0.12)  # where the search begins: between neighbours of the best
+_LAG_TOLERANCE_S = 5e-4
 # It flies where thrust over specific force, smoothed, has come near to what it is in the next seconds, and more is
 # asked for than idling: a share of what is usual among what is no small part of the largest.
 _RISEN, _RISING_S, _SMOOTH_S, _IDLE = 0.9, 1.5, 0.7, 0.35
@@ -161,15 +163,23 @@ def fit(vehicle: Vehicle, motion: Motion) -> Fit:
     measured = np.fft.rfft(taper * (motion.turning - motion.turning.mean(axis=1, keepdims=True)), axis=1)[:, inside]
     torque = motion.thrust @ vehicle.acceleration_effectiveness[1:].T
     asked = np.fft.rfft(taper * (torque - torque.mean(axis=1, keepdims=True)), axis=1)[:, inside]
-    asked = asked * _low_pass(frequency[inside], vehicle.telemetry.gyro_filter_hz)[None, :, None]
-    best: Fit | None = None
-    for lag in _LAGS_S:
-        shown = asked / (1.0 + 2j * np.pi * frequency[inside] * lag)[None, :, None]
-        found = _gains(measured, shown, lag)
-        if best is None or found.explained[:2].sum() > best.explained[:2].sum():
-            best = found
-    assert best is not None
-    return best
+    # Rates that turn into accelerations by differences over two points of the grid lose the same.
+    seen = _low_pass(frequency[inside], vehicle.telemetry.gyro_filter_hz) * np.sinc(
+        2.0 * frequency[inside] / motion.rate_hz
+    )
+    asked = asked * seen[None, :, None]
+
+    def with_lag(lag: float) -> Fit:
+        return _gains(measured, asked / (1.0 + 2j * np.pi * frequency[inside] * lag)[None, :, None], float(lag))
+
+    def unexplained(lag: float) -> float:
+        return -float(with_lag(lag).explained[:2].sum())
+
+    # Gain and lag go together: between two lags of the grid that explain alike the gain would be a matter of chance.
+    best = min(range(len(_LAGS_S)), key=lambda k: unexplained(_LAGS_S[k]))
+    bounds = (_LAGS_S[max(best - 1, 0)], _LAGS_S[min(best + 1, len(_LAGS_S) - 1)])
+    refined = minimize_scalar(unexplained, bounds=bounds, method="bounded", options={"xatol": _LAG_TOLERANCE_S})
+    return with_lag(refined.x if refined.fun < unexplained(_LAGS_S[best]) else _LAGS_S[best])
 
 
 def _gains(measured: NDArray[np.complex128], shown: NDArray[np.complex128], lag_s: float) -> Fit:

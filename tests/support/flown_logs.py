@@ -41,15 +41,16 @@ class Flight:
             goal = np.array([0.0, 0.0, self.turns_rad * np.sin(2.0 * np.pi * 0.2 * k * dt_s)])
             turn = wanted * [4.0, 4.0, 1.0] - 8.0 * rate - 16.0 * (angle - goal)
             asked = np.clip(model.hover + mixer[:, 1:] @ turn, 0.0, 1.0)
-            lagged = lagged + (asked - lagged) * (1.0 - np.exp(-dt_s / max(model.motor.time_constant_up_s, 1e-6)))
-            given = lagged.copy()
+            before, lag_s = lagged, max(model.motor.time_constant_up_s, 1e-6)
+            lagged = asked + (before - asked) * np.exp(-dt_s / lag_s)
+            given = asked + (before - lagged) * lag_s / dt_s  # the step's mean
             for motor, share in self.lost.items():
                 given[motor - 1] *= share if k * dt_s >= self.fail_s else 1.0
             up, *turning = accelerations @ given
-            rate = rate + np.array(turning) * dt_s
-            angle = np.clip(angle + rate * dt_s, -1.0, 1.0)
             noise = self.noise_rad_s * rng.standard_normal(3)
             rows.append((100.0 + k * dt_s, self._sample(100.0 + k * dt_s, rate + noise, up, asked)))
+            rate = rate + np.array(turning) * dt_s
+            angle = np.clip(angle + rate * dt_s, -1.0, 1.0)
         return rows
 
     def _sample(self, time_s: float, rate: NDArray[np.float64], up: float, thrust: NDArray[np.float64]) -> Sample:
