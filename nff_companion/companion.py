@@ -23,7 +23,7 @@ from nff_companion.control.override import OverrideLoop, OverrideState
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion
 from nff_companion.core.estimator import Estimator
-from nff_companion.core.fit_monitor import FitMonitor
+from nff_companion.core.fit_monitor import FitMonitor, FitState
 from nff_companion.core.flight_phase import FlightPhase
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
@@ -210,8 +210,8 @@ class Companion:
         command = sample.thrust if sample.thrust is not None else self.vehicle.thrust_fraction(sample.output)
         phase = self._phase.step(state.phase, sample, command)
         good_since = time_s if state.good_since_s is None else state.good_since_s
-        state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since)
         if not phase.flying or gap is None or condition.samples is not None:
+            state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since)
             if phase.landed_and_disarmed or (not sample.armed and state.failed.any()):
                 state = self._forgotten(state)
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
@@ -226,8 +226,10 @@ class Companion:
             estimating, estimate = self._estimated(state, sample, command, gap)
         except (SolverError, np.linalg.LinAlgError) as error:
             why = Statement(Reason.ESTIMATOR, str(error))
+            state = replace(state, phase=phase)
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
-        state = self._fitted(state, estimating, override)
+        fit = self._fitted(state, estimating, override)
+        state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since, fit=fit)
         if not state.trusted:
             state, estimate = self._held_back(state, estimate, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
@@ -282,12 +284,12 @@ class Companion:
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None
-    ) -> CompanionState:
+    ) -> FitState:
         """What the sample says of the airframe file. Outputs of our own say only what the file says itself, and once a
         motor is declared the vehicle is no longer the one that the file describes."""
-        if override is not None or state.failed.any() or not isinstance(estimating, EstimatorState):
-            return replace(state, fit=self._fit.paused(state.fit))
-        return replace(state, fit=self._fit.step(state.fit, estimating.residual))
+        if override is not None or True in state.failed.tolist() or not isinstance(estimating, EstimatorState):
+            return self._fit.paused(state.fit)
+        return self._fit.step(state.fit, estimating.residual)
 
     @staticmethod
     def _held_back(state: CompanionState, estimate: Estimate, time_s: float) -> tuple[CompanionState, Estimate]:

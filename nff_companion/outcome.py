@@ -35,19 +35,19 @@ class Outcome:
 
     def __init__(self, motors: int, axes: int) -> None:
         self._none, self._ones = read_only(np.zeros(axes)), read_only(np.ones(motors))
+        self._no_motor = read_only(np.zeros(motors, bool))
 
     def first(self) -> Output:
         """Before anything was heard."""
-        motors = len(self._ones)
         return Output(
             time_s=0.0,
             mode=Mode.OBSERVE,
             obstacle=Statement(Reason.WAITING),
             flying=False,
-            failed=read_only(np.zeros(motors, bool)),
+            failed=self._no_motor,
             effectiveness=self._ones,
             deviation=self._ones,
-            degraded=read_only(np.zeros(motors, bool)),
+            degraded=self._no_motor,
             events=(),
             plan=None,
             override=None,
@@ -85,7 +85,7 @@ class Outcome:
             failed=failed,
             effectiveness=effectiveness,
             deviation=deviation,
-            degraded=_shut(planning.degraded & ~failed),
+            degraded=self._no_motor if planning.untouched else _shut(planning.degraded & ~failed),
             events=() if estimate is None or time_s is None else tuple(estimate.events),
             plan=planning.plan if mode != Mode.OBSERVE else None,
             override=override if mode == Mode.OVERRIDE else None,
