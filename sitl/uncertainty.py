@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +43,12 @@ class Uncertainty:
     def calibrated(cls) -> Uncertainty:
         """An airframe file fitted to flights of the vehicle."""
         return cls.estimated()._narrowed(_CALIBRATED_SHARE)
+
+    @classmethod
+    def geometry(cls) -> Uncertainty:
+        """A file whose rotors were placed with a ruler, and whose vehicle was not balanced; nothing else is off."""
+        full = cls.estimated()
+        return cls(place=full.place, centre_of_mass=full.centre_of_mass)
 
     @classmethod
     def estimated(cls) -> Uncertainty:
@@ -104,6 +111,14 @@ class Uncertainty:
             pressure_centre_m=nominal.pressure_centre_m - np.concatenate([offset, np.zeros((n, 1))], axis=1),
             output_delay_s=nominal.output_delay_s + self.output_delay_s * (0.5 + 0.5 * delay),
         )
+
+
+LEVELS: dict[str, Callable[[], Uncertainty]] = {
+    "exact": Uncertainty.exact,
+    "calibrated": Uncertainty.calibrated,
+    "geometry": Uncertainty.geometry,
+    "estimated": Uncertainty.estimated,
+}
 
 
 def _between(factor: tuple[float, float], unit: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -31,6 +31,9 @@ def survey(
     rate: Annotated[float, typer.Option(help="Telemetry rate in Hz.")] = 200.0,
     link_delay: Annotated[float, typer.Option(help="Delay of the link each way in ms.")] = 10.0,
     model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 10.0,
+    level: Annotated[
+        str, typer.Option(help="How far off the file is in all else: exact, calibrated, geometry or estimated.")
+    ] = "exact",
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 4.0,
     speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
     forward: Annotated[bool, typer.Option("--forward", help="Legs of up to 12 m/s in all directions.")] = False,
@@ -50,6 +53,7 @@ def survey(
     from nff_companion.core import vehicle
     from sitl.trials import survey as surveys
     from sitl.trials.personality import PERSONALITIES
+    from sitl.uncertainty import LEVELS
 
     if mode not in MODES:
         raise ConfigError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -57,6 +61,8 @@ def survey(
         raise ConfigError("--singles and --pairs exclude each other: run two surveys")
     if personality not in PERSONALITIES:
         raise ConfigError(f"personality {personality!r} is unknown: choose one of {', '.join(PERSONALITIES)}")
+    if level not in LEVELS:
+        raise ConfigError(f"level {level!r} is unknown: choose one of {', '.join(LEVELS)}")
     if wrong_file:
         _wrong_files(wrong_file, airframe, first_seed, workers or None, personality=personality, json=json)
         return
@@ -81,6 +87,7 @@ def survey(
         speed_m_s=speed,
         mode=MODES[mode],
         detector=detector,
+        level=level,
     )
     if healthy > 0.0:
         document = surveys.run_healthy(options, healthy, workers or None)

@@ -24,6 +24,7 @@ from sitl.trials.comparison import rms_ratio
 from sitl.trials.personality import prepared
 from sitl.trials.research.detectors import parts_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
+from sitl.uncertainty import LEVELS
 
 FAULT_AT_S = 5.0
 FLY_ON_S = 20.0
@@ -60,6 +61,7 @@ class SurveyOptions:
     forward: bool = False  # legs of up to 12 m/s instead of hover, or of the healthy script
     network: str = "airframe"
     joint: float = 0.0
+    level: str = "exact"  # of what the file says beside mass, inertia and thrust: how far off it is
 
 
 @dataclass(slots=True)
@@ -116,6 +118,7 @@ def _described(options: SurveyOptions) -> dict[str, Any]:
         "forward": options.forward,
         "network": options.network,
         "joint": options.joint,
+        "level": options.level,
     }
 
 
@@ -149,6 +152,7 @@ def _build(
         wind_m_s=options.wind_m_s,
         turbulence_m_s=TURBULENCE_SHARE * options.wind_m_s,
         height_m=forward.HEIGHT_M if options.forward else HEIGHT_M,
+        uncertainty=LEVELS[options.level](),
         **fleet,
     )
     model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
