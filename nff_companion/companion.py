@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner
-from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output
+from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output, trusts
 from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
@@ -218,7 +218,7 @@ class Companion:
             why = first(why, condition.samples) or why
             fault = state.fault and phase.flying
             fit = self._fit.paused(state.fit)
-            if self._phase.aloft(phase, sample, command) and not state.failed.any():
+            if phase.aloft_since_s is not None and not state.failed.any():
                 fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
             state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
             return self._said(state, condition, time_s)
@@ -229,18 +229,23 @@ class Companion:
             state = replace(state, phase=phase)
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
         fit = self._fitted(state, estimating, override)
-        state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since, fit=fit)
-        if not state.trusted:
+        trusted = trusts(fit, confirmed=state.confirmed)
+        if not trusted:
             state, estimate = self._held_back(state, estimate, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         planning, adapted = state.planning, state.adapted
-        if state.trusted and not self._only_judges:
-            planning = self._planner.step(planning, time_s, estimate, trust_partial=self._fits_closely(state))
+        if trusted and not self._only_judges:
+            partial = self._fits_closely(fit, confirmed=state.confirmed)
+            planning = self._planner.step(planning, time_s, estimate, trust_partial=partial)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
             state,
+            phase=phase,
+            last_s=time_s,
+            good_since_s=good_since,
+            fit=fit,
             estimate=estimating,
             failed=failed,
             planning=planning,
@@ -274,13 +279,13 @@ class Companion:
         )
         return self._estimator.step(before, measurement)
 
-    def _fits_closely(self, state: CompanionState) -> bool:
+    def _fits_closely(self, state: FitState, *, confirmed: bool) -> bool:
         """Whether a partial loss may be believed: where the lag is off, or the gains of a file that only the flight has
         confirmed, a turn looks like one for a while."""
-        fit, later_s = state.fit.fit, state.fit.fit.seen.later_s
+        fit, later_s = state.fit, state.fit.seen.later_s
         if later_s is not None and abs(later_s) > self.tuning.fit.partial_lag_s:
             return False
-        return state.confirmed or not fit.differs
+        return confirmed or not fit.differs
 
     def _fitted(
         self, state: CompanionState, estimating: EstimatorState, override: NDArray[np.float64] | None

@@ -100,8 +100,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def trusted(self) -> bool:
         """Whether the airframe file may be acted upon: by somebody's word or by what was flown, and nothing contradicts
         it."""
-        fit = self.fit
-        return fit.proven or (self.confirmed and fit.fit.verdict != FitVerdict.DOES_NOT_FIT)
+        return trusts(self.fit, confirmed=self.confirmed)
 
     @property
     def whole(self) -> bool:
@@ -139,3 +138,8 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             if word_s <= flown_s < word_s + _WORD_S:
                 notes.append(Statement(Reason.FILE_OPEN, fit.short))
         return tuple(notes)
+
+
+def trusts(fit: FitState, *, confirmed: bool) -> bool:
+    """Whether a file of which the flight has shown ``fit`` may be acted upon."""
+    return fit.proven or (confirmed and fit.fit.verdict != FitVerdict.DOES_NOT_FIT)

@@ -170,17 +170,19 @@ class Decision:
         deviation: NDArray[np.float64],
         driven: NDArray[np.float64],
         direct: Hypothesis | None = None,
+        turned: NDArray[np.float64] | None = None,
     ) -> tuple[DecisionState, list[Event]]:
         """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
         coefficient); ``driven`` (m,) thrust fractions that the motors are asked for; ``direct``: named by rotor
-        speeds, and the residual agrees."""
+        speeds, and the residual agrees; ``turned`` (m,): thrust fractions of the last moments, None: as ``driven``."""
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
         if best is None and direct is None and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
             return (state if state.quiet else DecisionState.start(len(eta))), []
         works = (eta, deviation.tolist(), driven.tolist())
         new = DecisionState(failed=state.failed)
-        events = self._sudden(state, new, time_s, best, direct)
+        shown: list[float] = (driven if turned is None else turned).tolist()
+        events = self._sudden(state, new, time_s, best, direct, shown)
         events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -193,6 +195,7 @@ class Decision:
         time_s: float,
         best: Hypothesis | None,
         direct: Hypothesis | None,
+        shown: list[float],
     ) -> list[Event]:
         """Losses that the onset windows show; what is being confirmed goes into ``new``."""
         room = self.failed_max - sum(state.failed.tolist())
@@ -201,6 +204,8 @@ class Decision:
             return self._declare(new, time_s, direct, 1.0)
         if best is None or not self.convincing(best):
             return []
+        if min(shown[i] for i in best.motors) < self.tuning.driven:
+            return []  # what such a motor could lose is within what the others may be wrong by
         if best.motors == state.candidate:
             new.since_s = state.since_s
         wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
@@ -234,7 +239,7 @@ class Decision:
         left = [i for i, declared in enumerate(failed) if not declared]
         if sum(1.0 - eta[i] > o.loss_others for i in left) != 1:
             return []
-        sure = [i for i in left if deviation[i] < o.deviation_gradual_max and driven[i] > o.lift_driven]
+        sure = [i for i in left if deviation[i] < o.deviation_gradual_max and driven[i] > o.driven]
         low = [i for i in sure if 1.0 - eta[i] > o.loss_gradual]
         new.gradual_since_s = {i: state.gradual_since_s.get(i, time_s) for i in low}
         ready = [i for i, since_s in new.gradual_since_s.items() if time_s - since_s >= o.confirm_gradual_s]
@@ -258,7 +263,7 @@ class Decision:
         """Evidence that a declared motor works while it is driven."""
         o = self.tuning
         declared = [i for i, failed in enumerate(state.failed.tolist()) if failed]
-        sure = [i for i in declared if deviation[i] < o.deviation_lift_max and driven[i] > o.lift_driven]
+        sure = [i for i in declared if deviation[i] < o.deviation_lift_max and driven[i] > o.driven]
         well = [i for i in sure if eta[i] > o.lift_effectiveness]
         new.healthy_since_s = {i: state.healthy_since_s.get(i, time_s) for i in well}
         lifted = [i for i, since_s in new.healthy_since_s.items() if time_s - since_s >= o.lift_s]

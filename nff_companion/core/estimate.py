@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core import sparse
+from nff_companion.core.balance import BalanceState
 from nff_companion.core.decision import DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDragState
 from nff_companion.core.onset import OnsetState
@@ -22,6 +23,7 @@ class EstimatorState:
     residual: ResidualState
     disturbance: DisturbanceState
     side_drag: SideDragState
+    balance: BalanceState
     information: sparse.Information
     onset: OnsetState
     steady: NDArray[np.float64]  # (m,) w, slow
@@ -40,9 +42,9 @@ class Estimate:
     effectiveness: NDArray[np.float64]  # eta, 1: healthy; of declared motors what the data still say
     deviation: NDArray[np.float64]
     failed: NDArray[np.bool_]  # bool, latched
-    raw: NDArray[np.float64]  # (n,) y, without the motors declared, m/s^2 and rad/s^2
-    residual: NDArray[np.float64]  # (n,) y - phi a
-    disturbance: NDArray[np.float64]  # (n,) phi a
+    raw: NDArray[np.float64]  # (n,) y by the file, without the motors declared, m/s^2 and rad/s^2
+    residual: NDArray[np.float64]  # (n,) y - disturbance
+    disturbance: NDArray[np.float64]  # (n,) phi a, and what the file says wrongly of lift and centre of mass
     features: NDArray[np.float64] | None  # (d,) that phi was fed with
     thrust_shown: NDArray[np.float64]  # w, thrust fractions as they show in y
     lateral_m_s2: NDArray[np.float64]  # (2,) specific force along x and y, smoothed
@@ -80,9 +82,11 @@ class Seen:
 
     filtered: ResidualState
     side_drag: NDArray[np.float64]  # (m,) yaw acceleration per thrust fraction
-    effectiveness_matrix: NDArray[np.float64]  # B0 (n, m)
+    effectiveness_matrix: NDArray[np.float64]  # (n, m) B0 and what of it the file has wrong
     thrust_left: NDArray[np.float64]  # (m,) w, without the motors declared
-    raw: NDArray[np.float64]  # (n,) y
+    lift_m_s2: float  # of it, as the file says
+    unbalanced: NDArray[np.float64]  # (n,) what that turns and lifts beyond the file
+    balanced: NDArray[np.float64]  # (n,) y
     features: NDArray[np.float64] | None
     expectation: Expectation
     residual: NDArray[np.float64]  # (n,) y - phi a

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core import sparse
+from nff_companion.core.balance import Balance, BalanceState
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen
@@ -55,6 +56,7 @@ class Estimator:
         self._judged = judged
         self._filter = ResidualFilter(vehicle, dt_s, o.residual)
         self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
+        self._balance = Balance(vehicle, o.balance, o.disturbance.correlation_s)
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._decision = Decision(vehicle.motors, vehicle.axes, o.decision)
@@ -76,6 +78,7 @@ class Estimator:
             residual=self._filter.start(gyro, specific_force, command),
             disturbance=self._disturbance.start(),
             side_drag=SideDragState.start(self.tuning.disturbance),
+            balance=self._balance.start(time_s),
             information=sparse.Information.empty(m),
             onset=self._onset.start(),
             steady=command.copy(),
@@ -104,8 +107,10 @@ class Estimator:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-            command = measurement.command
-            decision, events = self._decision.step(decision, time_s, best, effectiveness, deviation, command, direct)
+            turned = None if best is None else np.maximum(seen.filtered.thrust_shown, steady)
+            decision, events = self._decision.step(
+                decision, time_s, best, effectiveness, deviation, measurement.command, direct, turned
+            )
         if any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
@@ -114,10 +119,12 @@ class Estimator:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(time_s, state.started_s, suspicious_since_s, best)
         disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
+        balance = self._balanced(state, seen, measurement, rate, decision)
         new = EstimatorState(
             residual=seen.filtered,
             disturbance=disturbance,
             side_drag=side_drag,
+            balance=balance,
             information=information,
             onset=onset,
             steady=steady,
@@ -132,9 +139,9 @@ class Estimator:
             effectiveness=effectiveness,
             deviation=deviation,
             failed=decision.failed,
-            raw=seen.raw,
+            raw=seen.balanced + seen.unbalanced,
             residual=seen.residual,
-            disturbance=seen.expectation.believed,
+            disturbance=seen.unbalanced + seen.expectation.believed,
             features=seen.features,
             thrust_shown=seen.filtered.thrust_shown,
             lateral_m_s2=seen.filtered.lateral_slow_m_s2,
@@ -151,19 +158,21 @@ class Estimator:
             state.residual, measurement.gyro, measurement.specific_force, measurement.command, measurement.dt_s
         )
         side_drag = self._filter.side_drag(filtered)
-        matrix = self._filter.effectiveness_matrix(side_drag, state.side_drag.share)
+        matrix = self._filter.effectiveness_matrix(state.balance.matrix, side_drag, state.side_drag.share)
         thrust_left = filtered.thrust_shown
         if True in failed.tolist():
             thrust_left = np.where(failed, 0.0, thrust_left)
-        commanded = matrix.dot(thrust_left)
-        raw = filtered.measured - commanded
+        lift_m_s2 = self._balance.lift_m_s2(thrust_left)
+        unbalanced = state.balance.share * lift_m_s2
+        whole = matrix.dot(thrust_left)
+        balanced = filtered.measured - whole
         seen = None
         if motion is not None:
             lateral, rate = filtered.lateral_m_s2, filtered.rate_rad_s
-            seen = features(motion.velocity_m_s, motion.quaternion, lateral, rate, commanded)
+            seen = features(motion.velocity_m_s, motion.quaternion, lateral, rate, whole - unbalanced)
         basis = self._disturbance.basis(state.disturbance, seen, measurement.dt_s)
         expectation = self._disturbance.expect(state.disturbance, basis)
-        residual = raw - expectation.believed
+        residual = balanced - expectation.believed
         if not math.isfinite(sum(residual.tolist())):
             raise SolverError(f"residual {residual} is not finite; the estimate starts anew")
         variance = self._disturbance.variance(state.disturbance)
@@ -172,7 +181,9 @@ class Estimator:
             side_drag=side_drag,
             effectiveness_matrix=matrix,
             thrust_left=thrust_left,
-            raw=raw,
+            lift_m_s2=lift_m_s2,
+            unbalanced=unbalanced,
+            balanced=balanced,
             features=seen,
             expectation=expectation,
             residual=residual,
@@ -229,7 +240,7 @@ class Estimator:
         failed: NDArray[np.bool_],
     ) -> tuple[DisturbanceState, SideDragState]:
         """a, and the rotors' share of the drag, from what no motor explains."""
-        rest, dt_s = seen.raw, measurement.dt_s
+        rest, dt_s = seen.balanced, measurement.dt_s
         explained = self._explained(effectiveness, failed) if self.identify else None
         if explained is not None:
             rest = rest - seen.effectiveness_matrix.dot(seen.filtered.thrust_shown * explained)
@@ -247,6 +258,19 @@ class Estimator:
         slope, yaw = float(seen.side_drag.dot(seen.thrust_left)), float(seen.residual[YAW])
         variance = float(disturbance.variance[YAW])
         return disturbance, learn_side_drag(state.side_drag, slope, yaw, variance, dt_s, self.tuning.disturbance)
+
+    def _balanced(
+        self, state: EstimatorState, seen: Seen, measurement: Measurement, rate: float, decision: DecisionState
+    ) -> BalanceState:
+        """What steady flight shows of lift and centre of mass. At the beginning of a flight only a motor that is about
+        to be declared stops it: what was there all the time is the file's error sooner than a failure."""
+        time_s, balance = measurement.time_s, state.balance
+        if not self._balance.due(balance, time_s) or True in decision.failed.tolist():
+            return balance
+        settling = time_s - state.started_s < self.tuning.estimator.learn_fast_s
+        if decision.candidate if settling else rate != 1.0:
+            return balance
+        return self._balance.learn(balance, time_s, seen.residual, seen.lift_m_s2, seen.variance)
 
     def _explained(self, effectiveness: NDArray[np.float64], failed: NDArray[np.bool_]) -> NDArray[np.float64] | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it

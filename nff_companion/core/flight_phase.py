@@ -22,6 +22,7 @@ class FlightPhaseState(msgspec.Struct, frozen=True, kw_only=True):
     ground_m: float | None = None
     pushing_since_s: float | None = None
     idle_since_s: float | None = None
+    aloft_since_s: float | None = None  # in the air, on less thrust than would carry this airframe
 
 
 class FlightPhase:
@@ -52,6 +53,11 @@ class FlightPhase:
         elif pushing_since is not None:
             flying = self._taken_off(sample, time_s - pushing_since, height, ground, hit=hit)
             hit = hit and not flying
+        aloft_since = None
+        if not flying and not hit and self._aloft(sample, share, ground):
+            # It flies all the same: the file is wrong about its thrust, which the flight will show.
+            aloft_since = _since(state.aloft_since_s, time_s)
+            flying = time_s - aloft_since >= o.assumed_after_s
         return FlightPhaseState(
             flying=flying,
             flew=state.flew or flying,
@@ -60,18 +66,17 @@ class FlightPhase:
             ground_m=ground,
             pushing_since_s=pushing_since,
             idle_since_s=idle_since,
+            aloft_since_s=aloft_since,
         )
 
-    def aloft(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> bool:
-        """In the air, by the autopilot's word or its height, though ``thrust`` (m,) would not carry this airframe."""
-        if state.flying or state.hit or not sample.armed:
-            return False
-        share = float(thrust.sum()) / len(thrust) / self._hover
+    def _aloft(self, sample: Sample, share: float, ground_m: float | None) -> bool:
+        """In the air, by the autopilot's word or its height, on a ``share`` of hover thrust that would not carry this
+        airframe."""
         if not self._tuning.ended_share < share < self._tuning.thrust_share:
             return False
-        if sample.landed is not None or sample.position_m is None or state.ground_m is None:
+        if sample.landed is not None or sample.position_m is None or ground_m is None:
             return sample.landed is False
-        return -float(sample.position_m[2]) - state.ground_m > self._tuning.height_m
+        return -float(sample.position_m[2]) - ground_m > self._tuning.height_m
 
     def _taken_off(
         self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool

@@ -70,6 +70,7 @@ class OnsetBank:
         self._correlation_s = tuning.disturbance.correlation_s
         self._error = o.model_error_share**2 * np.eye(self._axes)
         inertia = vehicle.inertia_kg_m2
+        self._together_squared = np.array(o.together_error_share) ** 2
         self._yaw_share = (inertia[:2] / inertia[2]) ** 2
 
     def start(self) -> OnsetState:
@@ -139,7 +140,7 @@ class OnsetBank:
         unsteady = state.thrust_shown[last] - state.steady[last]
         beyond = state.effectiveness_matrix[last] * unsteady[:, None, :]
         together, single = np.add.reduce(beyond, axis=2), np.add.reduce(beyond * beyond, axis=2)
-        doubtful = o.together_error_share**2 * together * together + o.single_error_share**2 * single
+        doubtful = self._together_squared * together * together + o.single_error_share**2 * single
         level, doubt = (np.maximum.reduce(self._mean.dot(part), axis=0) for part in (squared, doubtful))
         return np.asarray(variance + error.dot(level) + doubt)
 

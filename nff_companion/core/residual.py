@@ -104,7 +104,6 @@ class ResidualFilter:
         self._smooth, self._idle = np.full(vehicle.motors, smooth), np.full(vehicle.motors, tuning.idle)
         self._shares = np.array([smooth] * 9 + [lag_share(dt_s, tuning.lateral_s)] * 2)
         self._inertia: list[float] = vehicle.inertia_kg_m2.tolist()
-        self._nominal = vehicle.acceleration_effectiveness
         x, y = vehicle.position_m.T
         # (2, m) yaw acceleration per lateral specific force, were it all at one rotor
         self._side_drag = vehicle.mass_kg / vehicle.inertia_kg_m2[2] * np.stack([-y, x])
@@ -137,9 +136,12 @@ class ResidualFilter:
         speed = np.sqrt(np.maximum(state.thrust_shown, self._idle))
         return state.lateral_slow_m_s2.dot(self._side_drag) / (speed * speed.sum())
 
-    def effectiveness_matrix(self, side_drag: NDArray[np.float64], rotor_share: float) -> NDArray[np.float64]:
-        """B0 (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
-        matrix = self._nominal.copy()
+    @staticmethod
+    def effectiveness_matrix(
+        steady: NDArray[np.float64], side_drag: NDArray[np.float64], rotor_share: float
+    ) -> NDArray[np.float64]:
+        """``steady`` (n, m) in accelerations, with the yaw torque of the rotors' side drag in the present wind."""
+        matrix = steady.copy()
         matrix[YAW] += rotor_share * side_drag
         return matrix
 

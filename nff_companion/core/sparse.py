@@ -23,16 +23,15 @@ _TINY = 1e-9
 
 @dataclass(slots=True)
 class Information:
-    """S (m, m), q (m,) and the weighted energy of y, all with forgetting."""
+    """S (m, m) and q (m,), both with forgetting."""
 
     matrix: NDArray[np.float64]
     vector: NDArray[np.float64]
-    energy: float
 
     @staticmethod
     def empty(motors: int) -> Information:
         """Nothing known."""
-        return Information(np.zeros((motors, motors)), np.zeros(motors), 0.0)
+        return Information(np.zeros((motors, motors)), np.zeros(motors))
 
 
 def update(
@@ -44,12 +43,11 @@ def update(
     forgetting_per_s: float,
 ) -> Information:
     """One sample: ``regressor`` B0 diag(w) (n, m), ``residual`` y (n,), ``noise_weight`` diagonal of W (n,)."""
-    keep = float(np.exp(-forgetting_per_s * dt_s))
+    keep = math.exp(-forgetting_per_s * dt_s)
     weighted = regressor.T * noise_weight
     return Information(
         matrix=keep * information.matrix + dt_s * weighted.dot(regressor),
         vector=keep * information.vector + dt_s * weighted.dot(residual),
-        energy=keep * information.energy + dt_s * float(residual.dot(noise_weight * residual)),
     )
 
 
@@ -101,12 +99,12 @@ def effectiveness(information: Information, failed: NDArray[np.bool_], tuning: S
     if len(gone) == 1:
         inverse = 1.0 / (matrix[gone, gone] + ridge)
         gain, free = cross * inverse, inverse * part
-        rest = Information(matrix=kept - gain * cross.T, vector=vector.take(left) - gain[:, 0] * part, energy=0.0)
+        rest = Information(matrix=kept - gain * cross.T, vector=vector.take(left) - gain[:, 0] * part)
     else:
         inverse = np.linalg.inv(matrix[gone[:, None], gone] + ridge * np.eye(len(gone)))
         gain, free = cross.dot(inverse), np.einsum("ij,j->i", inverse, part)
         lost = np.einsum("ij,j->i", gain, part)
-        rest = Information(matrix=kept - gain.dot(cross.T), vector=vector.take(left) - lost, energy=0.0)
+        rest = Information(matrix=kept - gain.dot(cross.T), vector=vector.take(left) - lost)
     eta = np.empty(len(vector))
     eta[left] = 1.0 + solve(rest, tuning.gamma)
     eta[gone] = np.minimum(np.maximum(free, 0.0), tuning.free_max)

@@ -27,6 +27,7 @@ class Flight:
     lost: dict[int, float] = field(default_factory=dict)
     noise_rad_s: float = 0.002
     turns_rad: float = 0.0  # to both sides, every five seconds
+    finer: bool = False  # the motors answer between the samples, as they do, and not in steps
 
     def rows(self, rng: np.random.Generator) -> list[Row]:
         """It holds its attitude by a rate loop, is shaken by torques that its mixer asks for, and lands nowhere."""
@@ -42,15 +43,15 @@ class Flight:
             turn = wanted * [4.0, 4.0, 1.0] - 8.0 * rate - 16.0 * (angle - goal)
             asked = np.clip(model.hover + mixer[:, 1:] @ turn, 0.0, 1.0)
             before, lag_s = lagged, max(model.motor.time_constant_up_s, 1e-6)
-            lagged = asked + (before - asked) * np.exp(-dt_s / lag_s)
-            given = asked + (before - lagged) * lag_s / dt_s  # the step's mean
+            lagged = lagged + (asked - lagged) * (1.0 - np.exp(-dt_s / lag_s))
+            given = asked + (before - lagged) * lag_s / dt_s if self.finer else lagged.copy()
             for motor, share in self.lost.items():
                 given[motor - 1] *= share if k * dt_s >= self.fail_s else 1.0
             up, *turning = accelerations @ given
-            noise = self.noise_rad_s * rng.standard_normal(3)
-            rows.append((100.0 + k * dt_s, self._sample(100.0 + k * dt_s, rate + noise, up, asked)))
             rate = rate + np.array(turning) * dt_s
             angle = np.clip(angle + rate * dt_s, -1.0, 1.0)
+            noise = self.noise_rad_s * rng.standard_normal(3)
+            rows.append((100.0 + k * dt_s, self._sample(100.0 + k * dt_s, rate + noise, up, asked)))
         return rows
 
     def _sample(self, time_s: float, rate: NDArray[np.float64], up: float, thrust: NDArray[np.float64]) -> Sample:

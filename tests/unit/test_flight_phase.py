@@ -87,3 +87,14 @@ def test_landing_and_disarming_is_said_once(octo: Vehicle) -> None:
         state = phase.step(state, sample(octo, 0.005 * k, height=0.0, armed=False), thrust)
         said.append(state.landed_and_disarmed)
     assert said == [True, False, False]
+
+
+@pytest.mark.parametrize(("landed", "flies"), [(False, True), (True, False), (None, False)])
+def test_a_vehicle_in_the_air_on_less_thrust_than_its_file_needs_flies_all_the_same(
+    octo: Vehicle, landed: bool | None, flies: bool
+) -> None:
+    """Its file may have thrust curve and idle wrong; where the ground is, is not known."""
+    phase, state, thrust = FlightPhase(octo), FlightPhaseState(), np.full(8, 0.6 * octo.hover)
+    for k in range(600):
+        state = phase.step(state, sample(octo, 0.005 * k, height=10.0, landed=landed), thrust)
+    assert state.flying == flies

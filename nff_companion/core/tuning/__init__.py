@@ -21,6 +21,7 @@ from nff_companion.core.tuning.action import (
 from nff_companion.core.tuning.decision import DecisionTuning, EstimatorTuning, OnsetTuning, RotorSpeedTuning
 from nff_companion.core.tuning.estimation import (
     AdaptationTuning,
+    BalanceTuning,
     DisturbanceTuning,
     NetworkTuning,
     ResidualTuning,
@@ -35,6 +36,7 @@ from nff_companion.core.tuning.span import check_fields
 __all__ = [
     "DEFAULT",
     "AdaptationTuning",
+    "BalanceTuning",
     "CompanionTuning",
     "DecisionTuning",
     "DisturbanceTuning",
@@ -61,6 +63,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     residual: ResidualTuning = ResidualTuning()
     disturbance: DisturbanceTuning = DisturbanceTuning()
+    balance: BalanceTuning = BalanceTuning()
     adaptation: AdaptationTuning = AdaptationTuning()
     network: NetworkTuning = NetworkTuning()
     sparse: SparseTuning = SparseTuning()

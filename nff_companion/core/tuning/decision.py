@@ -9,7 +9,7 @@ from typing import Annotated
 
 import msgspec
 
-from nff_companion.core.tuning.span import about, span
+from nff_companion.core.tuning.span import PerAxis, about, span
 
 Age = Annotated[float, msgspec.Meta(ge=0.005, le=1.0)]
 Ages = tuple[Age, Age, Age, Age, Age, Age, Age, Age, Age, Age, Age, Age]
@@ -33,8 +33,13 @@ class OnsetTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         span(0.0, 1.0, "", "of y itself that is no evidence: a large torque must not drown what the other axes say"),
     ] = 0.10
     together_error_share: Annotated[
-        float, span(0.0, 1.0, "", "of what all motors do beyond their steady part: inertia and thrust are 10 % wrong")
-    ] = 0.12
+        PerAxis,
+        about(
+            "",
+            "of what all motors do beyond their steady part: inertia and thrust are 10 % wrong, the ratio of torque to"
+            " thrust by up to a half",
+        ),
+    ] = (0.12, 0.12, 0.12, 0.35)
     single_error_share: Annotated[
         float,
         span(
@@ -106,7 +111,7 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     lift_effectiveness: Annotated[
         float, span(0.5, 1.0, "", "from which a declared motor counts as working: well above what declares it")
     ] = 0.8
-    lift_driven: Annotated[
+    driven: Annotated[
         float, span(0.02, 0.5, "", "thrust fraction that counts as driven: at rest the data say nothing of a motor")
     ] = 0.15
     lift_s: Annotated[

@@ -10,10 +10,7 @@ from typing import Annotated
 
 import msgspec
 
-from nff_companion.core.tuning.span import about, span
-
-Share = Annotated[float, msgspec.Meta(ge=0.01, le=5.0)]  # never 0: it becomes a divisor
-PerAxis = tuple[Share, Share, Share, Share]  # thrust, roll, pitch, yaw
+from nff_companion.core.tuning.span import PerAxis, about, span
 
 
 class ResidualTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -86,6 +83,27 @@ class DisturbanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     share_drift_per_s: Annotated[
         float, span(0.0, 0.01, "1/s", "growth of that share's variance: it changes with the air speed, in minutes")
     ] = 2e-5
+
+
+class BalanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What steady flight shows of lift and centre of mass (core/balance.py); deviations of a file's numbers."""
+
+    lift_deviation: Annotated[
+        float, span(0.001, 1.0, "", "of what the motors lift, as a share: mass, full thrust, thrust curve at hover")
+    ] = 0.15
+    centre_deviation: Annotated[
+        float, span(0.0001, 0.5, "", "of the centre of mass from the middle of the rotors, over the longest arm")
+    ] = 0.03
+    yaw_deviation: Annotated[
+        float, span(0.001, 5.0, "", "of the yaw torque of all motors together, over that of one motor at hover")
+    ] = 0.15
+    deviations_max: Annotated[
+        float, span(0.5, 10.0, "deviations", "of each, at most: what is beyond is not the file's error")
+    ] = 3.0
+    drift_s: Annotated[
+        float,
+        span(10.0, 1e9, "s", "in which each could change by its deviation: what is learnt slower is no failure"),
+    ] = 1e6
 
 
 class AdaptationTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

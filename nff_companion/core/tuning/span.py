@@ -13,6 +13,9 @@ import msgspec
 
 from nff_companion.errors import ConfigError
 
+Share = Annotated[float, msgspec.Meta(ge=0.01, le=5.0)]  # never 0: it becomes a divisor
+PerAxis = tuple[Share, Share, Share, Share]  # thrust, roll, pitch, yaw
+
 
 def span(low: float, high: float, unit: str, why: str) -> msgspec.Meta:
     """Metadata of a number within ``low``..``high``, both allowed; ``unit`` empty: a plain number or a share."""

@@ -1,0 +1,78 @@
+"""What the airframe file says wrongly of the whole vehicle, and steady flight shows: how much the motors lift, and
+where the centre of mass is.
+
+A vehicle that is lifted beside its centre of mass is turned by its lift: in roll and pitch its effectiveness has a
+share of the thrust row, B = B0 + s B0[thrust], one share s an axis; of thrust it is mass and full thrust, of yaw motors
+that are not upright or not alike. The share is learnt with a prior, one Kalman filter an axis.
+
+A disturbance that is learnt as a constant explains the same in hover, but not what is left when a motor stops, and it
+may not grow so large (core/disturbance.py). Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.core.tuning import BalanceTuning
+from nff_companion.core.vehicle import GRAVITY_M_S2, PITCH, ROLL, THRUST, YAW, Vehicle
+
+
+@dataclass(slots=True)
+class BalanceState:
+    """``share`` s (n,) in m/s^2 or rad/s^2 per m/s^2 of lift, its ``variance`` (n,), and the effectiveness ``matrix``
+    (n, m) in accelerations with it; when it was last learnt."""
+
+    share: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    learnt_s: float
+
+
+class Balance:
+    """Constants of one airframe; states are replaced."""
+
+    def __init__(self, vehicle: Vehicle, tuning: BalanceTuning, correlation_s: float) -> None:
+        """``correlation_s`` of the residual: samples closer than this are not independent."""
+        self._correlation_s = correlation_s
+        self._nominal = effectiveness = vehicle.acceleration_effectiveness
+        self._lift = effectiveness[THRUST]
+        arm_m = float(np.hypot(vehicle.position_m[:, 0], vehicle.position_m[:, 1]).max())
+        inertia = vehicle.inertia_kg_m2
+        deviation = np.zeros(vehicle.axes)
+        deviation[THRUST] = tuning.lift_deviation
+        deviation[[ROLL, PITCH]] = tuning.centre_deviation * arm_m * vehicle.mass_kg / inertia[:2]
+        one = np.abs(effectiveness[YAW]).mean() * vehicle.hover  # what one motor turns
+        deviation[YAW] = tuning.yaw_deviation * one / GRAVITY_M_S2
+        self._prior = deviation**2
+        self._limit = tuning.deviations_max * deviation
+        self._drift = self._prior / tuning.drift_s
+
+    def start(self, time_s: float) -> BalanceState:
+        """As the file says."""
+        return BalanceState(np.zeros(len(self._prior)), self._prior, self._nominal, time_s)
+
+    def lift_m_s2(self, thrust: NDArray[np.float64]) -> float:
+        """Of thrust fractions (m,), as the file says."""
+        return float(self._lift.dot(thrust))
+
+    def due(self, state: BalanceState, time_s: float) -> bool:
+        """Whether a sample at ``time_s`` says anything beyond what the last one has said."""
+        return time_s - state.learnt_s >= self._correlation_s
+
+    def learn(
+        self,
+        state: BalanceState,
+        time_s: float,
+        residual: NDArray[np.float64],
+        lift_m_s2: float,
+        variance: NDArray[np.float64],
+    ) -> BalanceState:
+        """One sample: ``residual`` (n,) with the present share, its ``variance`` (n,) in steady flight."""
+        prior = np.minimum(state.variance + self._drift * (time_s - state.learnt_s), self._prior)
+        gain = prior * lift_m_s2 / (lift_m_s2 * lift_m_s2 * prior + variance)
+        share = np.minimum(np.maximum(state.share + gain * residual, -self._limit), self._limit)
+        matrix = self._nominal + share[:, None] * self._lift
+        return BalanceState(share, (1.0 - gain * lift_m_s2) * prior, matrix, time_s)
