@@ -12,8 +12,10 @@ from nff_companion.autopilots.base import Adapter
 from nff_companion.autopilots.twins import Rank, custom_mode
 from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, Statement
+from nff_companion.core import balance
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.decision import Event
+from nff_companion.core.estimate import Estimate
 from nff_companion.core.fit import Fit
 from nff_companion.core.vehicle import AXES, Vehicle
 from nff_companion.mavlink.codec import Message, dialect
@@ -62,6 +64,17 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
         "motors_later_s": None if seen.later_s is None else round(seen.later_s, 4),
         "order_margin": round(seen.margin, 1),
         "order_misfit": round(seen.misfit, 1),
+    }
+
+
+def balance_numbers(estimate: Estimate | None, vehicle: Vehicle) -> dict[str, Any] | None:
+    """Lift and centre of mass as the flight shows them; null: not known."""
+    if estimate is None or estimate.balance is None:
+        return None
+    lift, (forward_m, right_m) = balance.of_vehicle(estimate.balance, vehicle)
+    return {
+        "lift_over_file": round(lift, 3),
+        "centre_of_mass_beside_m": {"forward": round(forward_m, 4), "right": round(right_m, 4)},
     }
 
 
@@ -201,6 +214,7 @@ class Reporter:
                 "network": None if network is None else network.label,
                 "sighted": None if network is None or estimate is None else estimate.features is not None,
                 "residual_explained": None if phi_a is None else dict(zip(AXES, phi_a, strict=True)),
+                "balance": balance_numbers(estimate, self.vehicle),
             },
             "airframe_fit": {"trusted": output.trusted, **fit_numbers(output.fit)},
             "rate_hz": round(self.rate_hz, 1),

@@ -31,6 +31,14 @@ class BalanceState:
     learnt_s: float
 
 
+def of_vehicle(share: NDArray[np.float64], vehicle: Vehicle) -> tuple[float, tuple[float, float]]:
+    """What ``share`` (n,) says: lift over the file's, and the centre of mass (forward, right) in m from where the file
+    has it."""
+    lift = 1.0 + float(share[THRUST])
+    arm_m = share[[ROLL, PITCH]] * vehicle.inertia_kg_m2[:2] / (vehicle.mass_kg * lift)
+    return lift, (-float(arm_m[1]), float(arm_m[0]))
+
+
 class Balance:
     """Constants of one airframe; states are replaced."""
 

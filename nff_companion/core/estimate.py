@@ -50,6 +50,7 @@ class Estimate:
     lateral_m_s2: NDArray[np.float64]  # (2,) specific force along x and y, smoothed
     best: Hypothesis | None
     events: list[Event]
+    balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,6 +147,7 @@ class Estimator:
             lateral_m_s2=seen.filtered.lateral_slow_m_s2,
             best=best,
             events=events,
+            balance=state.balance.share,
         )
         _shut(estimate)
         return new, estimate

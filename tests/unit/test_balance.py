@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
+
+import msgspec
 import numpy as np
 import pytest
 
-from nff_companion.core.balance import Balance
+from nff_companion.core.airframe_file import AirframeFile
+from nff_companion.core.balance import Balance, of_vehicle
 from nff_companion.core.decision import Decision, DecisionState, Hypothesis
 from nff_companion.core.tuning import Tuning
-from nff_companion.core.vehicle import GRAVITY_M_S2, PITCH, ROLL, THRUST, Vehicle
+from nff_companion.core.vehicle import GRAVITY_M_S2, PITCH, ROLL, THRUST, Vehicle, path_of
 
 TUNING = Tuning()
 CORRELATION_S = TUNING.disturbance.correlation_s
@@ -38,6 +42,19 @@ def test_a_centre_of_mass_beside_the_middle_is_learnt_within_its_deviation(
     assert (np.abs(share - true) < 5.0 * deviation).all()
     assert (deviation[[THRUST, ROLL, PITCH]] * GRAVITY_M_S2 < 0.1 * np.sqrt(VARIANCE)[[THRUST, ROLL, PITCH]]).all()
     assert np.abs(share - true)[ROLL] < 0.1 * abs(true[ROLL])
+
+
+def test_shares_are_told_as_lift_and_centre_of_mass(octo: Vehicle) -> None:
+    """A vehicle with its centre of mass 2 cm forward and 1 cm to the right, and a tenth more of everything."""
+    text = path_of("octo-x").read_text(encoding="utf-8")
+    moved_text = text.replace("mass_kg = 6.0", "mass_kg = 6.0\ncentre_of_mass_m = [0.02, 0.01, 0.0]")
+    moved = Vehicle(msgspec.convert(tomllib.loads(moved_text), AirframeFile))
+    lift = octo.acceleration_effectiveness[THRUST]
+    difference = 1.1 * moved.acceleration_effectiveness - octo.acceleration_effectiveness
+    share = (difference @ lift) / (lift @ lift)
+    told, (forward_m, right_m) = of_vehicle(share, octo)
+    assert told == pytest.approx(1.1)
+    assert (forward_m, right_m) == pytest.approx((0.02, 0.01), rel=1e-6)
 
 
 def test_what_is_learnt_has_a_limit_and_a_motor_lost_is_beyond_it(octo: Vehicle, rng: np.random.Generator) -> None:
