@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ _TURNING = (model.ROLL, model.PITCH, model.YAW)
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
 _LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.05, 0.03)
+_NO_VEHICLE = 4.0  # deviations of what an owner knows of motors and centre of mass, beyond which it is no news of them
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
 _LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.04, 0.0, 0.015
 
@@ -246,7 +247,7 @@ def fit(
     rounds: int = ROUNDS,
 ) -> Fit:
     """From the parameters ``start`` (whose gains are taken from the record), believed as ``prior`` says."""
-    deviations = prior.deviations(layout.motors)
+    x_start, deviations = start, prior.deviations(layout.motors)
     start = Problem(record, layout, filters, inertia, start, deviations).suggested(start)
     problem = Problem(record, layout, filters, inertia, start, deviations)
     free, x, explained = problem.free, start, np.zeros(model.AXES)
@@ -255,6 +256,11 @@ def fit(
         scale = deviations[free]
         found = least_squares(problem.residual, x[free], problem.jacobian, x_scale=scale, max_nfev=20, xtol=1e-4)
         x = problem.whole(found.x)
+    trim = np.r_[model.motors_of(layout), model.centre_of(layout)]
+    if prior.motor > 0.0 and (np.abs(x[trim]) > _NO_VEHICLE * deviations[trim]).any():
+        # Air, taken for motors unlike and a centre of mass elsewhere: the flight tells nothing of these, and the
+        # companion learns them anew in each flight (core/balance.py).
+        return fit(record, layout, filters, inertia, x_start, replace(prior, motor=0.0, centre=0.0), rounds)
     jacobian = problem.jacobian(x[free])
     covariance = np.zeros((len(x), len(x)))
     # In deviations of the prior, so that no number is so much smaller than others that rounding eats it.
@@ -265,6 +271,8 @@ def fit(
     together = np.eye(len(x))
     together[[model.SHAPE + axis for axis in _TURNING]] -= model.steepness(x, layout, problem.mean_output)[1]
     covariance += together @ np.diag(_left_out(layout) * (deviations > 0.0)) @ together.T
+    if prior.motor == 0.0:
+        covariance[trim, trim] = BELIEVED.deviations(layout.motors)[trim] ** 2
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)

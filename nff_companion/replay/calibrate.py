@@ -146,6 +146,8 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     begin = fitting.fit(beginning, layout, filters, inertia, start, replace(prior, yaw=0.0), rounds=2)
     suspected = _failure(found, _file(found, vehicle, begin, text, name)[1])
     fit = fitting.fit(whole, layout, filters, inertia, start, prior)
+    if suspected and not fit.prior[model.motors_of(layout)].any():
+        raise NotJudged(suspected)  # motors as no vehicle has them, and a failure that the flight's beginning shows
     weighed = order.weigh(order.shares(whole, layout, filters, model.shape_of(fit.x, layout.full), inertia), layout)
     _ordered(weighed, vehicle)
     try:
@@ -157,7 +159,7 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
         raise NotJudged(suspected or failed)
     course = fitting.course(whole, layout, filters, inertia, fit.x)
     verdicts = [verdict for verdict in excitation.verdicts(fit) if verdict.deviation > 0.0]
-    return Calibration(written, _numbers(vehicle, fit), verdicts, weighed, fit, course, whole.duration_s)
+    return Calibration(written, numbers(vehicle, fit), verdicts, weighed, fit, course, whole.duration_s)
 
 
 def _known(found: list[LogFlight]) -> model.Prior:
@@ -171,10 +173,9 @@ def _known(found: list[LogFlight]) -> model.Prior:
     return prior
 
 
-def _numbers(vehicle: Vehicle, fit: Fit) -> list[Number]:
+def numbers(vehicle: Vehicle, fit: Fit) -> list[Number]:
     """Those that were measured."""
-    curve = {f"command.{key}" for key in _CURVE_TOLD}
-    return [n for n in airframe.numbers(vehicle, fit) if n.key not in curve or n.deviation > 0.0]
+    return [number for number in airframe.numbers(vehicle, fit) if number.deviation > 0.0]
 
 
 def _start_of(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -197,7 +198,7 @@ def _ordered(weighed: Weighed, vehicle: Vehicle) -> None:
 def _file(found: list[LogFlight], vehicle: Vehicle, fit: Fit, text: str, name: str) -> tuple[str, Vehicle]:
     """The new airframe file. Raises NotJudged where no vehicle is like that."""
     source = f"calibrated from {', '.join(flight.path.name for flight in found)}"[:1000]
-    written = airframe.written(text, _numbers(vehicle, fit), name, source)
+    written = airframe.written(text, numbers(vehicle, fit), name, source)
     try:
         draft.check(written, Path(f"{name}.toml"))
     except ConfigError as error:
