@@ -114,14 +114,15 @@ def score_command(
 ) -> None:
     """One-step-ahead prediction of a network on flights that it was not trained on, beside a constant phi."""
     from nff_companion.core import vehicle as vehicle_model
-    from nff_companion.core.basis_network import for_vehicle
+    from nff_companion.core.basis_network import for_vehicle, left_out
     from nff_companion.training.dataset import Dataset
     from nff_companion.training.score import score
 
     if bool(log) == bool(simulate):
         raise ConfigError("give either --log FILE (several) or --simulate N")
     vehicle = vehicle_model.load(airframe)
-    basis = for_vehicle(vehicle, network)
+    named = network != "airframe" or (vehicle.network != "" and not left_out(vehicle, network))
+    basis = for_vehicle(vehicle, network) if named else None
     if basis is None:
         raise ConfigError(f"{airframe} names no network: give --network")
     if log:

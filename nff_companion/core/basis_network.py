@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core import network_file
-from nff_companion.core.features import COMMAND
+from nff_companion.core.features import COMMAND, NAMES
 from nff_companion.core.tuning import NetworkTuning
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NetworkError
@@ -61,6 +61,8 @@ class Basis:
     def label(self) -> str:
         """Which network this is, for people."""
         m = self.metadata
+        if "label" in m:
+            return str(m["label"])
         covers = ", ".join(m.get("covers", [])) or "no axis by its score"
         return f"{m.get('airframe', 'unnamed')}, {m.get('minutes', '?')} min, {m.get('data_sha256', '')[:8]}: {covers}"
 
@@ -79,10 +81,14 @@ class Basis:
 
     @cached_property
     def _lowest(self) -> NDArray[np.float64]:
+        if not np.isfinite(self.low).all():
+            return self.low
         return self.low - self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
     def _highest(self) -> NDArray[np.float64]:
+        if not np.isfinite(self.high).all():
+            return self.high
         return self.high + self.tuning.outside_share * (self.high - self.low)
 
     @cached_property
@@ -187,14 +193,37 @@ def left_out(vehicle: Vehicle, choice: str) -> str:
 
 def for_vehicle(vehicle: Vehicle, choice: str, tuning: NetworkTuning | None = None) -> Basis | None:
     """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, where it was trained on this
-    very airframe (``left_out``); ``none``; a shipped name or a path. None: a constant basis. Raises NetworkError, also
-    when the network breaks (6.8) with the nominal allocation."""
-    name = vehicle.network if choice == "airframe" else "" if choice == "none" else choice
-    if not name or left_out(vehicle, choice):
+    very airframe (``left_out``), else ``drag``; ``drag``; ``none``: a constant basis, None; a shipped name or a path. Raises
+    NetworkError, also when the network breaks (6.8) with the nominal allocation."""
+    if choice == "none":
         return None
+    name = vehicle.network if choice == "airframe" else choice
+    if not name or choice == "drag" or left_out(vehicle, choice):
+        return drag(vehicle, tuning)
     basis = replace(load(path_of(name)), tuning=tuning or NetworkTuning())
     check(basis, vehicle, name)
     return basis
+
+
+def drag(vehicle: Vehicle, tuning: NetworkTuning | None = None) -> Basis:
+    """Where no network was trained: what air does to each axis goes with the lateral specific force, which is the drag,
+    beside the constant. By how much is what a flight teaches; before it, nothing (a0 = 0)."""
+    inputs, loss = len(NAMES), vehicle.acceleration_effectiveness * vehicle.hover
+    tuning = tuning or NetworkTuning()
+    weights = np.zeros((2, inputs))
+    weights[0, NAMES.index("force_x")] = weights[1, NAMES.index("force_y")] = 1.0 / tuning.drag_m_s2
+    return Basis(
+        weights=(weights,),
+        biases=(np.zeros(2),),
+        mean=np.zeros(inputs),
+        scale=np.ones(inputs),
+        low=np.full(inputs, -np.inf),
+        high=np.full(inputs, np.inf),
+        axis_scale=np.sqrt((loss**2).mean(axis=1)),
+        prior=np.zeros((3, vehicle.axes)),
+        metadata={"label": "none trained: what goes with the drag"},
+        tuning=tuning,
+    )
 
 
 def check(basis: Basis, vehicle: Vehicle, name: str) -> None:

@@ -304,3 +304,5 @@ def _shut(estimate: Estimate) -> None:
     arrays = (e.effectiveness, e.deviation, e.failed, e.raw, e.residual, e.disturbance, e.thrust_shown, e.lateral_m_s2)
     for array in arrays if e.features is None else (*arrays, e.features):
         array.flags.writeable = False
+    if e.balance is not None:
+        e.balance.flags.writeable = False

@@ -39,7 +39,8 @@ def judge(
 ) -> Judgement:
     """One flight; ``rows`` as a reader gives them, ``outputs`` the message with the motors' outputs; ``trace`` is given
     its course."""
-    network = basis_network.for_vehicle(vehicle, "airframe")
+    # What goes with the drag is not told from a rotor that is gone on a vehicle that spins, as many in logs do.
+    network = basis_network.for_vehicle(vehicle, "airframe" if vehicle.network else "none")
     companion = Companion(vehicle, rate_hz, tuning, network=network, parts=_JUDGED)
     decision = Decision(vehicle.motors, vehicle.axes, companion.tuning.decision)
     watch = Watch(works_from=companion.tuning.decision.lift_effectiveness)

@@ -59,7 +59,7 @@ def config_text(
     """A configuration file."""
     ratio = "" if thrust_to_weight is None else f"thrust_to_weight = {thrust_to_weight}\n"
     # By its name: also for a relative of the airframe that it was trained on.
-    network = vehicle_model.load(airframe).network or "none"
+    network = vehicle_model.load(airframe).network or "airframe"
     # Without a folder of the trial's own nothing may be left in the owner's.
     folder = "propose = false\n" if state_folder is None else f'state_folder = "{state_folder}"\n'
     return (

@@ -205,7 +205,7 @@ class VirtualFlight:
             meeting.alter = options.alter or alter
             named = options.network
             if named == "airframe" and not options.airframe:
-                named = model.network or "none"  # by its name: also where the trial has changed the thrust
+                named = model.network or "airframe"  # by its name: also where the trial has changed the thrust
             companion = Companion(
                 model,
                 rate,

@@ -59,11 +59,13 @@ def test_networks_that_airframes_name_hold_the_contraction(airframe: str) -> Non
     vehicle = vehicle_model.load(airframe)
     basis = basis_network.for_vehicle(vehicle, "airframe")
     left_out = basis_network.left_out(vehicle, "airframe")
-    assert (basis is None) == (vehicle.network == "" or left_out != "")
+    assert basis is not None
+    untrained = basis.label == "none trained: what goes with the drag"
+    assert untrained == (vehicle.network == "" or left_out != "")
     assert (left_out != "") == (airframe == "px4-octo-x"), left_out  # octo-x with weaker motors
-    if basis is not None:
-        norm = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
-        assert basis.contraction(basis.prior, vehicle, norm) < 1.0
+    norm = float(np.linalg.norm(np.linalg.pinv(vehicle.effectiveness), 2))
+    assert basis.contraction(basis.prior, vehicle, norm) < 1.0
+    assert basis_network.for_vehicle(vehicle, "none") is None
 
 
 def test_a_network_is_used_on_the_airframe_that_it_was_trained_on_or_where_it_is_asked_for(tmp_path: Path) -> None:
@@ -73,7 +75,11 @@ def test_a_network_is_used_on_the_airframe_that_it_was_trained_on_or_where_it_is
     copied.write_text(text.replace("max_thrust_n = 18.387", "max_thrust_n = 17.0"), encoding="utf-8")
     mine = vehicle_model.load(str(copied))
     assert mine.network == "octo-x"
-    assert basis_network.for_vehicle(mine, "airframe") is None
+    untrained = basis_network.for_vehicle(mine, "airframe")
+    assert untrained is not None
+    assert untrained.label == "none trained: what goes with the drag"
+    force = np.array([0.0, 0.0, 0.0, 2.0, -3.0, *np.zeros(6)])
+    np.testing.assert_array_equal(untrained(force), [2.0, -3.0, 1.0])
     assert "octo-x is left out" in basis_network.left_out(mine, "airframe")
     assert basis_network.for_vehicle(mine, "octo-x") is not None
     assert basis_network.left_out(mine, "octo-x") == ""

@@ -134,6 +134,12 @@ class NetworkTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     contraction_max: Annotated[
         float, span(0.1, 1.0, "", "bound of sigma(A) Lip_u(phi) |a|: at 1 the fixed point (6.7) is no longer certain")
     ] = 1.0
+    drag_m_s2: Annotated[
+        float,
+        span(
+            0.1, 20.0, "m/s^2", "where none is trained: lateral force by which its effect is learnt like the constant"
+        ),
+    ] = 1.0
     contraction_kept: Annotated[
         float, span(0.5, 0.9999, "", "share of that bound that a is shortened to, so that rounding does not break it")
     ] = 0.999
