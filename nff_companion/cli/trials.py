@@ -37,7 +37,7 @@ def survey(
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 4.0,
     speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
     forward: Annotated[bool, typer.Option("--forward", help="Legs of up to 12 m/s in all directions.")] = False,
-    network: Annotated[str, typer.Option(help="Basis: airframe, none, drag, a shipped name or an .npz file.")] = "airframe",
+    network: Annotated[str, typer.Option(help="Basis: airframe, none, drag, a shipped name or a file.")] = "airframe",
     joint: Annotated[float, typer.Option(help="Losses and an error of phi a together; 0: in turn.")] = 0.0,
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
     detector: Annotated[str, typer.Option(help="sparse, or the peer imm.")] = "sparse",

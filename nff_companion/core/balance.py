@@ -54,7 +54,7 @@ class Balance:
         deviation[[ROLL, PITCH]] = tuning.centre_deviation * arm_m * vehicle.mass_kg / inertia[:2]
         one = np.abs(effectiveness[YAW]).mean() * vehicle.hover  # what one motor turns
         deviation[YAW] = tuning.yaw_deviation * one / GRAVITY_M_S2
-        self._prior = deviation**2
+        self._prior, self._quickest_s = deviation**2, tuning.quickest_s
         self._limit = tuning.deviations_max * deviation
         self._drift = self._prior / tuning.drift_s
 
@@ -80,7 +80,9 @@ class Balance:
     ) -> BalanceState:
         """One sample: ``residual`` (n,) with the present share, its ``variance`` (n,) in steady flight."""
         prior = np.minimum(state.variance + self._drift * (time_s - state.learnt_s), self._prior)
-        gain = prior * lift_m_s2 / (lift_m_s2 * lift_m_s2 * prior + variance)
+        # No quicker than a failure is named: what comes within a tenth of a second is one.
+        most = min((time_s - state.learnt_s) / self._quickest_s, 1.0) / max(lift_m_s2, 1.0)
+        gain = np.minimum(prior * lift_m_s2 / (lift_m_s2 * lift_m_s2 * prior + variance), most)
         share = np.minimum(np.maximum(state.share + gain * residual, -self._limit), self._limit)
         matrix = self._nominal + share[:, None] * self._lift
-        return BalanceState(share, (1.0 - gain * lift_m_s2) * prior, matrix, time_s)
+        return BalanceState(share, (1.0 - gain * lift_m_s2) ** 2 * prior + gain * gain * variance, matrix, time_s)

@@ -193,7 +193,7 @@ def left_out(vehicle: Vehicle, choice: str) -> str:
 
 def for_vehicle(vehicle: Vehicle, choice: str, tuning: NetworkTuning | None = None) -> Basis | None:
     """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, where it was trained on this
-    very airframe (``left_out``), else ``drag``; ``drag``; ``none``: a constant basis, None; a shipped name or a path. Raises
+    very airframe (``left_out``), else ``drag``; ``none``: a constant basis, None; a shipped name or a path. Raises
     NetworkError, also when the network breaks (6.8) with the nominal allocation."""
     if choice == "none":
         return None

@@ -100,6 +100,10 @@ class BalanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     deviations_max: Annotated[
         float, span(0.5, 10.0, "deviations", "of each, at most: what is beyond is not the file's error")
     ] = 3.0
+    quickest_s: Annotated[
+        float,
+        span(0.1, 10.0, "s", "time constant at the start of a flight: a motor that fails then is not learnt away"),
+    ] = 0.3
     drift_s: Annotated[
         float,
         span(10.0, 1e9, "s", "in which each could change by its deviation: what is learnt slower is no failure"),
