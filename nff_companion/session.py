@@ -58,7 +58,7 @@ class SessionOptions:
     system: int = 0  # of the vehicle; 0: the one that is heard
     stream_timeout_s: float = 0.25
     act: bool = True
-    network_note: str = "none: a constant basis"  # why there is no network
+    network_note: str = ""  # why the network that the airframe file names is not used
 
 
 class Session:
@@ -177,7 +177,8 @@ class Session:
             out.append(Finding("armed", False, "the vehicle is armed: nothing was asked of it; disarm and try again"))
         out += self._link.findings(now_s)
         network = self._companion.network
-        out.append(Finding("network", True, self._options.network_note if network is None else network.label))
+        used = "none: a constant basis" if network is None else network.label
+        out.append(Finding("network", True, "; ".join(filter(None, (used, self._options.network_note)))))
         out += adapter.findings()
         return [*out, self._link.rates(now_s, self._companion.rate_hz)]
 

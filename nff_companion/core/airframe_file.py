@@ -41,7 +41,7 @@ class AirframeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mass_kg: Annotated[float, span(0.02, 3000.0, "kg", "of the whole vehicle as it flies")]
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
     centre_of_mass_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)  # from where the rotors' places count
-    network: Text = ""  # basis network: a shipped name or a file beside this one; empty: a constant basis
+    network: Text = ""  # basis network: a shipped name or a file beside this one; empty: none was trained
     confirmed: Text = ""  # how it is known to be the flying vehicle's, as "calibrated 2026-11-02"; empty: it is not
 
 

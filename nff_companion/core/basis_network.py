@@ -192,9 +192,9 @@ def left_out(vehicle: Vehicle, choice: str) -> str:
 
 
 def for_vehicle(vehicle: Vehicle, choice: str, tuning: NetworkTuning | None = None) -> Basis | None:
-    """The network that ``choice`` means for ``vehicle``: ``airframe`` what its file names, where it was trained on this
-    very airframe (``left_out``), else ``drag``; ``none``: a constant basis, None; a shipped name or a path. Raises
-    NetworkError, also when the network breaks (6.8) with the nominal allocation."""
+    """What ``choice`` means for ``vehicle``: ``airframe`` the network that its file names, where it was trained on this
+    very airframe (``left_out``), else as ``drag``; ``drag`` (below); ``none`` a constant basis, None; a shipped name or
+    a path. Raises NetworkError, also when the network breaks (6.8) with the nominal allocation."""
     if choice == "none":
         return None
     name = vehicle.network if choice == "airframe" else choice

@@ -55,9 +55,12 @@ class FlightPhase:
             hit = hit and not flying
         aloft_since = None
         if not flying and not hit and self._aloft(sample, share, ground):
-            # It flies all the same: the file is wrong about its thrust, which the flight will show.
             aloft_since = _since(state.aloft_since_s, time_s)
-            flying = time_s - aloft_since >= o.assumed_after_s
+            # High up it flies all the same: the file is wrong about its thrust, which the flight will show. The
+            # autopilot's word alone is not enough (ArduCopter says so on the ground, once the pilot gives throttle),
+            # nor height after a flight: it may stand on a roof.
+            high = height is not None and height - (ground or 0.0) > o.height_m
+            flying = high and not state.flew and time_s - aloft_since >= o.assumed_after_s
         return FlightPhaseState(
             flying=flying,
             flew=state.flew or flying,

@@ -59,7 +59,7 @@ class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     airframe: Annotated[Name, about("", "a shipped name, or a path to a .toml file")]
     network: Annotated[
         Name,
-        about("", "basis of Neural-Fly: airframe, what the airframe file names; none; a shipped name or an .npz file"),
+        about("", "basis of Neural-Fly: airframe, what the airframe file names; drag; none; a shipped name, or a file"),
     ] = "airframe"
     thrust_to_weight: (
         Annotated[float, span(*THRUST_TO_WEIGHT, "", "replaces the maximum thrust of the airframe file")] | None

@@ -18,7 +18,6 @@ from nff_companion.session import Session, SessionOptions
 
 log = logging.getLogger("nff")
 
-_NO_NETWORK = "none: a constant basis"
 _JOURNAL = "parameters.journal"
 
 
@@ -44,7 +43,7 @@ def prepare(
         system=link.system,
         stream_timeout_s=link.stream_timeout_s,
         act=act,
-        network_note=note or _NO_NETWORK,
+        network_note=note,
     )
     recorder = None
     if act and config.companion.propose:

@@ -89,12 +89,34 @@ def test_landing_and_disarming_is_said_once(octo: Vehicle) -> None:
     assert said == [True, False, False]
 
 
-@pytest.mark.parametrize(("landed", "flies"), [(False, True), (True, False), (None, False)])
-def test_a_vehicle_in_the_air_on_less_thrust_than_its_file_needs_flies_all_the_same(
-    octo: Vehicle, landed: bool | None, flies: bool
+@pytest.mark.parametrize(
+    ("landed", "height", "armed_at", "flies"),
+    [
+        (False, 10.0, None, True),  # a restart in flight
+        (False, 10.0, 0.0, True),
+        (None, 10.0, 0.0, True),
+        (True, 10.0, None, False),
+        (None, 10.0, None, False),  # where the ground is, is not known, and nobody says
+        (False, 0.1, 0.0, False),  # as ArduCopter says of a vehicle that stands, once the pilot gives throttle
+        (False, 0.1, None, False),
+        (False, None, None, False),
+    ],
+)
+def test_a_vehicle_high_up_on_less_thrust_than_its_file_needs_flies_all_the_same(
+    octo: Vehicle, landed: bool | None, height: float | None, armed_at: float | None, flies: bool
 ) -> None:
-    """Its file may have thrust curve and idle wrong; where the ground is, is not known."""
-    phase, state, thrust = FlightPhase(octo), FlightPhaseState(), np.full(8, 0.6 * octo.hover)
+    """Its file may have thrust curve and idle wrong. On the ground the same thrust is no flight."""
+    phase, state, thrust = FlightPhase(octo), FlightPhaseState(ground_m=armed_at), np.full(8, 0.6 * octo.hover)
     for k in range(600):
-        state = phase.step(state, sample(octo, 0.005 * k, height=10.0, landed=landed), thrust)
+        state = phase.step(state, sample(octo, 0.005 * k, height=height, landed=landed), thrust)
     assert state.flying == flies
+
+
+def test_a_vehicle_that_has_landed_on_a_roof_does_not_fly_on_little_thrust(octo: Vehicle) -> None:
+    phase, state, time_s = FlightPhase(octo), FlightPhaseState(ground_m=0.0), 0.0
+    for share, seconds in ((1.0, 3.0), (0.1, 2.0), (0.6, 4.0)):
+        thrust = np.full(8, share * octo.hover)
+        for _ in range(round(seconds / 0.005)):
+            time_s += 0.005
+            state = phase.step(state, sample(octo, time_s, height=5.0, landed=False), thrust)
+        assert state.flying == (share == 1.0)
