@@ -48,9 +48,11 @@ def considered(layout: Layout) -> list[Order]:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """``rows`` (3, m) of roll, pitch and yaw that each motor is given, of mean square 1; ``turned``: yaw tells."""
+    """``rows`` (3, m) of roll, pitch and yaw that each motor is given; ``weight`` (3, m, m) of the motors' differences:
+    less where the outputs do what goes with no acceleration; ``turned``: yaw tells."""
 
     rows: NDArray[np.float64]
+    weight: NDArray[np.float64]
     turned: bool
 
 
@@ -71,9 +73,8 @@ def shares(
         for k, band_hz in enumerate(_BANDS_HZ):
             kept = np.column_stack([chain.band(column, piece.dt_s, *band_hz) for column in both.T])[skip:-skip]
             sums[k] += kept.T @ kept
-    fast, slow = (np.linalg.lstsq(total[:3, :3], total[:3, 3:], rcond=1e-12)[0] for total in sums)
-    rows = np.stack([fast[0], fast[1], slow[2]])
-    rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
+    (fast, fast_weight), (slow, slow_weight) = (_given(total) for total in sums)
+    rows, weight = np.stack([fast[0], fast[1], slow[2]]), np.stack([fast_weight, fast_weight, slow_weight])
     yaw = sums[1]
     by_motors, cross = yaw[3:, 3:], yaw[3:, 2]
     power = max(float(yaw[2, 2]), 1e-30)
@@ -82,7 +83,17 @@ def shares(
     along = np.maximum(spins @ cross, 0.0) ** 2 / np.einsum("om,mk,ok->o", spins, by_motors, spins) / power
     rate = np.concatenate([np.abs(piece.gyro_rad_s[:, 2]) for piece in record.pieces])
     turns = float(np.percentile(rate, 98.0)) >= _TURN_RAD_S
-    return Shares(rows, turns and told >= _TURNED and float(along.max()) >= _TURNED_ALIKE)
+    return Shares(rows, weight, turns and told >= _TURNED and float(along.max()) >= _TURNED_ALIKE)
+
+
+def _given(total: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares (3, m) of the motors in the sums (3 + m, 3 + m) of accelerations and thrusts, and the weight (m, m) of
+    their errors: what the mixer does beside, yaw that the gyro does not show, is one pattern of the motors, by chance
+    alike to roll and pitch."""
+    shares = np.linalg.lstsq(total[:3, :3], total[:3, 3:], rcond=1e-12)[0]
+    beside = total[3:, 3:] - total[3:, :3] @ shares
+    mean = max(float(np.trace(beside)) / len(beside), 1e-30)
+    return shares, np.asarray(np.linalg.inv(np.eye(len(beside)) + 0.5 * (beside + beside.T) / mean))
 
 
 def weigh(found: Shares, layout: Layout) -> Weighed:
@@ -99,5 +110,11 @@ def weigh(found: Shares, layout: Layout) -> Weighed:
 
 def _off(found: Shares, rows: NDArray[np.float64]) -> float:
     axes = slice(None) if found.turned else slice(2)
-    rows = rows / np.sqrt(np.mean(rows**2, axis=1, keepdims=True))
-    return float(np.mean((found.rows[axes] - rows[axes]) ** 2))
+    weight = found.weight[axes]
+    apart = _scaled(found.rows[axes], weight) - _scaled(rows[axes], weight)
+    return float(np.mean(np.einsum("am,amn,an->a", apart, weight, apart)))
+
+
+def _scaled(rows: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``rows`` (axes, m) of weighted square 1."""
+    return np.asarray(rows / np.sqrt(np.einsum("am,amn,an->a", rows, weight, rows))[:, None])

@@ -146,10 +146,10 @@ def _calibrated(found: list[LogFlight], whole: Record, vehicle: Vehicle, text: s
     begin = fitting.fit(beginning, layout, filters, inertia, start, replace(prior, yaw=0.0), rounds=2)
     suspected = _failure(found, _file(found, vehicle, begin, text, name)[1])
     fit = fitting.fit(whole, layout, filters, inertia, start, prior)
-    if suspected and not fit.prior[model.motors_of(layout)].any():
-        raise NotJudged(suspected)  # motors as no vehicle has them, and a failure that the flight's beginning shows
     weighed = order.weigh(order.shares(whole, layout, filters, model.shape_of(fit.x, layout.full), inertia), layout)
     _ordered(weighed, vehicle)
+    if suspected and not fit.prior[model.motors_of(layout)].any():
+        raise NotJudged(suspected)  # motors as no vehicle has them, and a failure that the flight's beginning shows
     try:
         written, made = _file(found, vehicle, fit, text, name)
     except NotJudged as error:

@@ -1,5 +1,8 @@
-"""What was learnt of a vehicle that is off from its file is gone after a gap of the telemetry, or when the companion was
-killed: until it is learnt again, nothing else may be declared for it."""
+"""Interrupted flights of vehicles that are off from their files.
+
+What was learnt is gone after a gap of the telemetry, or when the companion was killed: until it is learnt again,
+nothing else may be declared for it.
+"""
 
 from __future__ import annotations
 
