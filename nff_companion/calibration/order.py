@@ -90,7 +90,7 @@ def _given(total: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
     """Shares (3, m) of the motors in the sums (3 + m, 3 + m) of accelerations and thrusts, and the weight (m, m) of
     their errors: what the mixer does beside, yaw that the gyro does not show, is one pattern of the motors, by chance
     alike to roll and pitch."""
-    shares = np.linalg.lstsq(total[:3, :3], total[:3, 3:], rcond=1e-12)[0]
+    shares = np.asarray(np.linalg.lstsq(total[:3, :3], total[:3, 3:], rcond=1e-12)[0])
     beside = total[3:, 3:] - total[3:, :3] @ shares
     mean = max(float(np.trace(beside)) / len(beside), 1e-30)
     return shares, np.asarray(np.linalg.inv(np.eye(len(beside)) + 0.5 * (beside + beside.T) / mean))
