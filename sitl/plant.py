@@ -296,6 +296,14 @@ class Plant:
         p = self.parameters
         return np.asarray(_fraction(output, p.spin_min[:, None], p.spin_max, p.thrust_expo[:, None]))
 
+    def shift_mass(self, vehicle: int, forward: float, right: float) -> None:
+        """Move the centre of mass by these shares of the longest arm: a load has slid."""
+        rotors, body = self._rotors[vehicle], self._bodies[vehicle]
+        arm_m = float(np.hypot(rotors["x_m"], rotors["y_m"]).max())
+        rotors["x_m"] -= forward * arm_m
+        rotors["y_m"] -= right * arm_m
+        body["pressure_centre_m"][:2] -= np.array([forward, right]) * arm_m
+
     def take(self, steps: int) -> tuple[Makings, int]:
         """For ``advance`` over that many steps: what it needs, and the number of the first."""
         self._step += steps

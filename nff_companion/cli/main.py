@@ -11,7 +11,19 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import typer
 
-from nff_companion.cli import airframe, bench, calibrate, compare, flight, fly, learn, operate, trials, why
+from nff_companion.cli import (
+    airframe,
+    bench,
+    calibrate,
+    campaign,
+    compare,
+    flight,
+    fly,
+    learn,
+    operate,
+    trials,
+    why,
+)
 from nff_companion.cli.output import say_error
 from nff_companion.errors import NffError
 
@@ -30,6 +42,7 @@ app.command("check")(operate.check)
 app.command("sitl")(flight.sitl)
 app.command("demo")(flight.demo)
 app.command("survey")(trials.survey)
+app.command("campaign")(campaign.campaign)
 app.command("replay")(trials.replay)
 app.command("why")(why.why)
 app.command("calibrate")(calibrate.calibrate)

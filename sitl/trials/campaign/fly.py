@@ -1,0 +1,144 @@
+"""Flights of a campaign in virtual time, each with the companion and, beside it, the same vehicle without."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.condition import Mode
+from nff_companion.core import vehicle as vehicles
+from sitl import airframe as plant_airframe
+from sitl import rotation
+from sitl.faults import Fault
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials.campaign.events import Events, gusts
+from sitl.trials.campaign.manoeuvres import HEIGHT_M, Pilots
+from sitl.trials.campaign.scenario import Case, Scenario, drawn
+from sitl.trials.personality import prepared
+from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
+from sitl.uncertainty import LEVELS
+
+
+def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
+    """One row a flight; all of ``flights`` are of one airframe. A row does not depend on what it was flown beside."""
+    cases = [drawn(scenario, flight) for flight in flights]
+    (airframe,) = {case.airframe for case in cases}
+    both = cases * 2
+    options = FleetOptions(
+        seeds=[case.seed for case in both],
+        model_error=scenario.model_error,
+        uncertainty=LEVELS[scenario.level](),
+        wind_m_s=[case.wind_m_s for case in both],
+        turbulence_m_s=[scenario.turbulence_share * case.wind_m_s for case in both],
+        height_m=HEIGHT_M,
+        gusts=gusts(both),
+    )
+    plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(both))
+    with temporary_card() as card:
+        autopilot = prepared(scenario.personality, vehicles.load(airframe), TrialOptions().allocation, card)
+        flight = VirtualFlight(
+            Fleet(plants, options, faults(both)),
+            dict.fromkeys(range(len(cases)), TrialOptions(mode=Mode.ALLOCATE, network=scenario.network)),
+            airframe=airframe,
+            rate_hz=scenario.rate_hz,
+            link_delay_s=scenario.link_delay_s,
+            workshop=autopilot.workshop,
+            px4=autopilot.px4,
+        )
+        record = _flown(flight, both)
+    rows = []
+    for k, case in enumerate(cases):
+        seen = _seen(case, flight.companions[k], record.partly_s[k])
+        rows.append(case.row() | {"level": scenario.level} | seen | record.row(k, len(cases) + k))
+    return rows
+
+
+def faults(cases: list[Case]) -> list[Fault]:
+    """Of a fleet of these."""
+    return [
+        Fault(
+            vehicle=vehicle,
+            motor=motor,
+            start_s=case.at_s,
+            kind=case.fault,
+            effectiveness=case.left,
+            duration_s=case.duration_s,
+        )
+        for vehicle, case in enumerate(cases)
+        for motor in case.motors
+    ]
+
+
+class Record:
+    """What each vehicle did, up to the end of its own flight."""
+
+    def __init__(self, cases: list[Case]) -> None:
+        n = len(cases)
+        self._from_s, self._until_s = (np.array([getattr(case, key) for case in cases]) for key in ("at_s", "until_s"))
+        self._tilt_rad, self._off_m, self._low_m = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.crashed = np.zeros(n, bool)
+        self.partly_s: list[float | None] = [None] * n  # when a partial loss was allocated around first
+
+    def note(self, flight: VirtualFlight) -> None:
+        """After a cycle."""
+        fleet = flight.fleet
+        flies = fleet.time_s <= self._until_s
+        self.crashed |= fleet.state.crashed & flies
+        up = flies & ~self.crashed & (fleet.time_s > self._from_s)
+        off = fleet.state.position_m - fleet.autopilot.position.path
+        for value, now in (
+            (self._tilt_rad, rotation.tilt_of(fleet.state.quaternion)),
+            (self._off_m, np.linalg.norm(off, axis=1)),
+            (self._low_m, off[:, 2]),
+        ):
+            np.maximum(value, np.where(up, now, 0.0), out=value)
+        for k, companion in enumerate(flight.companions):
+            if self.partly_s[k] is None and flies[k] and _partly(companion.output.degraded):
+                self.partly_s[k] = fleet.time_s
+
+    def row(self, with_it: int, alone: int) -> dict[str, Any]:
+        """Of a vehicle with the companion and the same without."""
+        out: dict[str, Any] = {}
+        for prefix, k in (("", with_it), ("alone_", alone)):
+            out[f"{prefix}survived"] = not bool(self.crashed[k])
+            out[f"{prefix}tilt_deg"] = round(math.degrees(self._tilt_rad[k]), 2)
+            out[f"{prefix}off_m"] = round(float(self._off_m[k]), 3)
+            out[f"{prefix}low_m"] = round(float(self._low_m[k]), 3)
+        return out
+
+
+def _partly(degraded: NDArray[np.bool_]) -> bool:
+    return True in degraded.tolist()
+
+
+def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
+    fleet, record = flight.fleet, Record(cases)
+    pilots, events = Pilots(fleet, cases), Events(fleet, cases)
+    for _ in range(math.ceil(max(case.until_s for case in cases) * AUTOPILOT_RATE_HZ)):
+        pilots.step(fleet.time_s)
+        events.step(fleet.time_s)
+        flight.step()
+        record.note(flight)
+    return record
+
+
+def _seen(case: Case, companion: TrialCompanion, partly_s: float | None) -> dict[str, Any]:
+    """What the companion said of it. ``delay_s``: from the failure until all motors that fail are named; ``false``:
+    motors that work, declared; ``changes``: declarations and lifts."""
+    events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
+    declared = [(time_s, event.motor) for time_s, event in events if event.declared]
+    right = {motor: time_s for time_s, motor in reversed(declared) if motor in case.motors and time_s >= case.at_s}
+    wrong = sorted({motor for time_s, motor in declared if motor not in case.motors or time_s < case.at_s})
+    whole = set(case.motors) <= set(right)
+    return {
+        "named": sorted(right),
+        "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,
+        "wrong": wrong,
+        "wrong_s": next((round(time_s, 3) for time_s, motor in declared if motor in wrong), None),
+        "changes": len(events),
+        "partly_s": None if partly_s is None else round(partly_s - case.at_s, 4),
+        "says": companion.session.moment().verdict.text,
+    }

@@ -1,0 +1,130 @@
+"""What a campaign flies: its file, and each flight drawn from it, the same whoever flies it and beside whatever."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from nff_companion.core import toml_file
+from nff_companion.core import vehicle as vehicles
+from nff_companion.core.toml_file import Name
+from nff_companion.core.tuning.span import span
+from nff_companion.errors import ConfigError
+
+Manoeuvre = Literal["hover", "climb", "descent", "turn", "forward", "steps"]
+FaultKind = Literal["none", "total", "partial", "ramp", "intermittent", "stuck"]
+Event = Literal["none", "gust", "drop", "hook", "shift", "sag"]
+Level = Literal["exact", "calibrated", "geometry", "estimated"]
+MANOEUVRES: tuple[Manoeuvre, ...] = ("hover", "climb", "descent", "turn", "forward")
+Share = Annotated[float, span(0.0, 1.0, "", "")]
+Seconds = Annotated[float, span(0.0, 3600.0, "s", "")]
+Speed = Annotated[float, span(0.0, 20.0, "m/s", "")]
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A campaign's file. Airframes, manoeuvres, faults and events come in turn, all with all; what has two numbers is
+    drawn between them."""
+
+    name: Name
+    flights: Annotated[int, span(1, 100_000_000, "", "with all of them the table is complete")]
+    seed: Annotated[int, span(0, 2**31, "", "another one draws other flights")] = 1
+    airframes: tuple[Name, ...] = ("octo-x",)
+    level: Level = "calibrated"  # how far off the airframe file is, beside mass, inertia and thrust
+    model_error: Annotated[float, span(0.0, 0.4, "", "of mass, inertia, thrust")] = 0.1
+    manoeuvres: tuple[Manoeuvre, ...] = MANOEUVRES
+    faults: tuple[FaultKind, ...] = ("total",)
+    motors: Annotated[int, span(1, 3, "", "that fail at once")] = 1
+    left: tuple[Share, Share] = (0.1, 0.9)  # of the thrust, in partial losses and at the end of ramps
+    duration_s: tuple[Seconds, Seconds] = (0.2, 5.0)  # of ramps, and of the periods of what comes and goes
+    events: tuple[Event, ...] = ("none",)  # what is no fault
+    at_s: tuple[Seconds, Seconds] = (5.0, 10.0)  # of fault or event
+    fly_on_s: Annotated[float, span(0.5, 600.0, "s", "after it")] = 8.0
+    wind_m_s: tuple[Speed, Speed] = (4.0, 4.0)
+    turbulence_share: Annotated[float, span(0.0, 0.5, "", "of the wind")] = 0.25
+    rate_hz: Annotated[float, span(50.0, 400.0, "Hz", "telemetry")] = 200.0
+    link_delay_s: Annotated[float, span(0.0, 0.1, "s", "each way")] = 0.01
+    personality: Literal["plain", "ardupilot", "px4"] = "plain"
+    network: Name = "airframe"
+    batch: Annotated[int, span(1, 1000, "flights", "that are flown together")] = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One flight. ``motors`` count from 1."""
+
+    flight: int  # from 0
+    airframe: str
+    manoeuvre: Manoeuvre
+    fault: FaultKind
+    motors: tuple[int, ...]
+    left: float
+    duration_s: float
+    event: Event
+    at_s: float
+    until_s: float
+    wind_m_s: float
+    seed: int
+
+    def row(self) -> dict[str, Any]:
+        """For a table."""
+        return asdict(self) | {"motors": list(self.motors)}
+
+
+def read(path: Path) -> Scenario:
+    """Raises ConfigError."""
+    raw = toml_file.parsed(path, "campaign")
+    scenario = toml_file.converted({"name": path.stem} | raw, Scenario, path, "campaign")
+    for key in ("airframes", "manoeuvres", "faults", "events"):
+        if not getattr(scenario, key):
+            raise ConfigError(f"campaign {path}: {key} is empty: name one or more")
+    for key in ("left", "duration_s", "at_s", "wind_m_s"):
+        low, high = getattr(scenario, key)
+        if low > high:
+            raise ConfigError(f"campaign {path}: {key} = [{low}, {high}]: the first must not be above the second")
+    for name in scenario.airframes:
+        if vehicles.load(name).motors < scenario.motors:
+            raise ConfigError(f"campaign {path}: airframe {name} has fewer than motors = {scenario.motors}")
+    return scenario
+
+
+def batches(scenario: Scenario) -> list[tuple[int, ...]]:
+    """Flights (from 0) that are flown together: of one airframe."""
+    kinds = len(scenario.airframes)
+    out = []
+    for kind in range(kinds):
+        mine = range(kind, scenario.flights, kinds)
+        out += [tuple(mine[k : k + scenario.batch]) for k in range(0, len(mine), scenario.batch)]
+    return sorted(out)
+
+
+def drawn(scenario: Scenario, flight: int) -> Case:
+    """The ``flight``-th (from 0)."""
+    draw = np.random.default_rng([scenario.seed, flight])
+    turn, airframe = divmod(flight, len(scenario.airframes))
+    turn, manoeuvre = divmod(turn, len(scenario.manoeuvres))
+    turn, fault = divmod(turn, len(scenario.faults))
+    event = turn % len(scenario.events)
+    kind = scenario.faults[fault]
+    motors = vehicles.load(scenario.airframes[airframe]).motors
+    order = draw.permutation(motors)  # drawn also where nothing fails: what follows is the same
+    at_s = draw.uniform(*scenario.at_s)
+    low, high = scenario.duration_s
+    return Case(
+        flight=flight,
+        airframe=scenario.airframes[airframe],
+        manoeuvre=scenario.manoeuvres[manoeuvre],
+        fault=kind,
+        motors=() if kind == "none" else tuple(sorted(1 + int(motor) for motor in order[: scenario.motors])),
+        left=draw.uniform(*scenario.left) if kind in ("partial", "ramp") else 0.0,
+        duration_s=math.exp(draw.uniform(math.log(max(low, 1e-3)), math.log(max(high, 1e-3)))),
+        event=scenario.events[event],
+        at_s=at_s,
+        until_s=at_s + scenario.fly_on_s,
+        wind_m_s=draw.uniform(*scenario.wind_m_s),
+        seed=int(draw.integers(2**31)),
+    )

@@ -1,0 +1,49 @@
+"""A campaign is flown: by workers of its own, and each flight as it would be alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sitl.trials.campaign.fly import fly
+from sitl.trials.campaign.run import run
+from sitl.trials.campaign.scenario import Event, Scenario, batches
+from sitl.trials.campaign.store import Store
+
+
+def test_a_flight_is_the_same_alone_and_beside_others() -> None:
+    scenario = Scenario(name="t", flights=6, at_s=(3.0, 5.0), fly_on_s=1.5, manoeuvres=("turn", "forward"), batch=6)
+    together = fly(scenario, tuple(range(6)))
+    assert [row["named"] for row in together] == [row["motors"] for row in together]
+    assert fly(scenario, (3,)) == [together[3]]
+
+
+def test_workers_fly_what_is_missing_and_nothing_else(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    scenario = Scenario(name="t", flights=3, at_s=(2.0, 2.5), fly_on_s=0.5, manoeuvres=("hover",), batch=1)
+    store, seen = Store(tmp_path, scenario), list[tuple[int, int]]()
+    first, *_ = all_batches = batches(scenario)
+    marked = fly(scenario, first)
+    marked[0]["says"] = "flown before"
+    store.put(first, marked)
+    assert run(scenario, store, workers=2, progress=lambda done, whole: seen.append((done, whole))) == []
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    rows = store.rows(all_batches)
+    assert [row["says"] == "flown before" for row in rows] == [True, False, False]
+    assert run(scenario, store, progress=lambda done, whole: seen.append((done, whole))) == []
+    assert seen[3:] == [(3, 3)]
+
+
+@pytest.mark.parametrize("event", ["gust", "drop", "hook", "shift", "sag"])
+def test_what_is_no_fault_happens_and_is_not_declared(event: Event) -> None:
+    scenario = Scenario(name="t", flights=4, faults=("none",), events=("none", event), manoeuvres=("hover",))
+    calm_one, calm_two, *moved = fly(scenario, (0, 2, 1, 3))
+    assert [row["event"] for row in moved] == [event] * 2
+    for row in (calm_one, calm_two, *moved):
+        assert row["wrong"] == [], row
+        assert row["survived"], row
+    others = fly(Scenario(name="t", flights=4, faults=("none",), manoeuvres=("hover",)), (1, 3))
+    for row, calm in zip(moved, others, strict=True):
+        assert (row["seed"], row["at_s"]) == (calm["seed"], calm["at_s"])
+        assert row["off_m"] != calm["off_m"]
