@@ -274,6 +274,7 @@ class Companion:
             stopped=self._stopped(state, sample, command),
             motion=None if self._only_judges else _motion(sample),
             allocation_norm=plan.norm if plan is not None else 0.0,
+            gains=state.fit.gains,
             failed=state.failed,
             tracking_error=np.array(error) if self._composite and error and state.blind is None else None,
         )

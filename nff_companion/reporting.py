@@ -68,13 +68,16 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
 
 
 def balance_numbers(estimate: Estimate | None, vehicle: Vehicle) -> dict[str, Any] | None:
-    """Lift and centre of mass as the flight shows them; null: not known."""
+    """Lift, centre of mass, gains and thrust curve as the flight shows them; null: not known."""
     if estimate is None or estimate.balance is None:
         return None
     lift, (forward_m, right_m) = balance.of_vehicle(estimate.balance, vehicle)
+    gains = [1.0] * len(AXES[1:]) if estimate.gain is None else estimate.gain[1:].tolist()
     return {
         "lift_over_file": round(lift, 3),
         "centre_of_mass_beside_m": {"forward": round(forward_m, 4), "right": round(right_m, 4)},
+        "turns_over_file": {axis: round(gain, 3) for axis, gain in zip(AXES[1:], gains, strict=True)},
+        "thrust_curve_bent": round(estimate.bend, 3),
     }
 
 

@@ -174,7 +174,8 @@ class Decision:
     ) -> tuple[DecisionState, list[Event]]:
         """One sample. ``effectiveness`` (m,) and ``deviation`` of the sparse estimate (of latched motors: their free
         coefficient); ``driven`` (m,) thrust fractions that the motors are asked for; ``direct``: named by rotor
-        speeds, and the residual agrees; ``turned`` (m,): thrust fractions of the last moments, None: as ``driven``."""
+        speeds, and the residual agrees; ``turned`` (m,): mean thrust fractions of the last moments, None: as
+        ``driven``."""
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
         if best is None and direct is None and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:

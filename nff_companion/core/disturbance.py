@@ -7,6 +7,7 @@ differently. The spread around phi a gives W.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from nff_companion.core.adaptation import Adaptation, AdaptationState
 from nff_companion.core.filters import lag_share
 from nff_companion.core.tuning import DisturbanceTuning, Tuning
-from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.vehicle import PITCH, ROLL, Vehicle
 
 
 @dataclass(slots=True)
@@ -117,6 +118,10 @@ class Disturbance:
         constant = np.zeros((1, vehicle.axes))
         self._scale = np.ones(vehicle.axes) if network is None else network.axis_scale
         self._adaptation = Adaptation(constant if network is None else network.prior, whole.adaptation)
+        # Torques turn, and a is in accelerations over the axes' scale: sqrt(J_y s_y / (J_x s_x)).
+        jx, jy = (vehicle.inertia_kg_m2[:2] * self._scale[[ROLL, PITCH]]).tolist()
+        self._across = math.sqrt(jy / jx)
+        self._steady: tuple[float, float] = tuple(self._adaptation.prior[-1, [ROLL, PITCH]].tolist())
         # Until the network is given what it looks at, the constant stands alone.
         self._blind = np.eye(len(self._adaptation.prior))[-1]
 
@@ -170,6 +175,7 @@ class Disturbance:
         rate: float = 1.0,
         allocation_norm: float = 0.0,
         tracking_error: NDArray[np.float64] | None = None,
+        turned_rad: float = 0.0,
     ) -> DisturbanceState:
         """One sample of the raw residual y (n,), of which ``expectation`` was expected in ``state``; ``rate`` scales
         the speed of learning, 0: frozen; ``allocation_norm`` is that of the matrix in force, for (6.8);
@@ -182,6 +188,8 @@ class Disturbance:
             most = o.spread_limit**2 * np.maximum(variance, self._floor_squared)
             share = min(rate * dt_s / o.spread_s, o.spread_step_max)
             variance = variance + share * (np.minimum(around * around, most) - variance)
+        if turned_rad:
+            adaptation = self._turned(adaptation, turned_rad)
         adaptation = self._projected(adaptation, allocation_norm)
         return DisturbanceState(adaptation=adaptation, basis=expectation.basis, variance=variance)
 
@@ -200,6 +208,16 @@ class Disturbance:
         seen = np.where(held, expectation.learnt, residual) if True in held.tolist() else residual
         error = None if tracking_error is None else tracking_error / self._scale
         return self._adaptation.step(state, expectation.basis, seen / self._scale, dt_s, error)
+
+    def _turned(self, state: AdaptationState, turned_rad: float) -> AdaptationState:
+        """What is steady in roll and pitch, beyond a0, is the wind's, which does not turn with the vehicle."""
+        roll0, pitch0 = self._steady
+        cosine, sine = math.cos(turned_rad), math.sin(turned_rad)
+        a = state.a.copy()
+        roll, pitch = (a[-1, ROLL] - roll0) / self._across, (a[-1, PITCH] - pitch0) * self._across
+        a[-1, ROLL] = roll0 + self._across * (cosine * roll + sine * pitch)
+        a[-1, PITCH] = pitch0 + (cosine * pitch - sine * roll) / self._across
+        return AdaptationState(a=a, covariance=state.covariance)
 
     def _projected(self, state: AdaptationState, allocation_norm: float) -> AdaptationState:
         """Within (6.8), whose bound moves with the allocation in force."""

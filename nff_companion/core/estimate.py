@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core import sparse
 from nff_companion.core.balance import BalanceState
+from nff_companion.core.curve import CurveState
 from nff_companion.core.decision import DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDragState
 from nff_companion.core.onset import OnsetState
@@ -24,6 +25,7 @@ class EstimatorState:
     disturbance: DisturbanceState
     side_drag: SideDragState
     balance: BalanceState
+    curve: CurveState
     information: sparse.Information
     onset: OnsetState
     steady: NDArray[np.float64]  # (m,) w, slow
@@ -51,6 +53,8 @@ class Estimate:
     best: Hypothesis | None
     events: list[Event]
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
+    gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
+    bend: float = 0.0  # of the thrust curve (core/curve.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     stopped: NDArray[np.bool_] | None = None  # (m,) bool: stand still by their rotor speeds
     motion: Motion | None = None  # None: not known, phi stays what it was
     allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
+    gains: NDArray[np.float64] | None = None  # (n,) how many times the file's its rows are; None: as the file says
     failed: NDArray[np.bool_] | None = None  # (m,) bool: declared; None: as the last step left it
     # (n,) s, actual - reference, where the law closes the loop; m/s, rad/s
     tracking_error: NDArray[np.float64] | None = None
@@ -87,6 +92,8 @@ class Seen:
     thrust_left: NDArray[np.float64]  # (m,) w, without the motors declared
     lift_m_s2: float  # of it, as the file says
     unbalanced: NDArray[np.float64]  # (n,) what that turns and lifts beyond the file
+    bent: NDArray[np.float64]  # (n,) g, what a thrust curve bent by 1 more would turn and lift; 0 while all work
+    turned: NDArray[np.float64] | float  # (n,) what the motors' differences turn beyond the file
     balanced: NDArray[np.float64]  # (n,) y
     features: NDArray[np.float64] | None
     expectation: Expectation

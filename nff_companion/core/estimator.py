@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core import sparse
 from nff_companion.core.balance import Balance, BalanceState
+from nff_companion.core.curve import Curve
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen
@@ -57,8 +58,10 @@ class Estimator:
         self._filter = ResidualFilter(vehicle, dt_s, o.residual)
         self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
         self._balance = Balance(vehicle, o.balance, o.disturbance.correlation_s)
+        self._curve = Curve(o.curve, o.disturbance.correlation_s)
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
         self._steady = lag_share(dt_s, o.estimator.steady_s)
+        self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
         self._decision = Decision(vehicle.motors, vehicle.axes, o.decision)
 
     def start(
@@ -79,6 +82,7 @@ class Estimator:
             disturbance=self._disturbance.start(),
             side_drag=SideDragState.start(self.tuning.disturbance),
             balance=self._balance.start(time_s),
+            curve=self._curve.start(time_s),
             information=sparse.Information.empty(m),
             onset=self._onset.start(),
             steady=command.copy(),
@@ -107,7 +111,7 @@ class Estimator:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-            turned = None if best is None else np.maximum(seen.filtered.thrust_shown, steady)
+            turned = None if best is None else self._onset.worked(onset)
             decision, events = self._decision.step(
                 decision, time_s, best, effectiveness, deviation, measurement.command, direct, turned
             )
@@ -120,11 +124,15 @@ class Estimator:
         rate = self._learning_rate(time_s, state.started_s, suspicious_since_s, best)
         disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
         balance = self._balanced(state, seen, measurement, rate, decision)
+        curve = state.curve
+        if rate == 1.0 and seen.bent is not self._none:
+            curve = self._curve.learn(curve, time_s, seen.residual, seen.bent, seen.variance)
         new = EstimatorState(
             residual=seen.filtered,
             disturbance=disturbance,
             side_drag=side_drag,
             balance=balance,
+            curve=curve,
             information=information,
             onset=onset,
             steady=steady,
@@ -139,7 +147,7 @@ class Estimator:
             effectiveness=effectiveness,
             deviation=deviation,
             failed=decision.failed,
-            raw=seen.balanced + seen.unbalanced,
+            raw=seen.balanced + seen.unbalanced + seen.turned + state.curve.bend * seen.bent,
             residual=seen.residual,
             disturbance=seen.unbalanced + seen.expectation.believed,
             features=seen.features,
@@ -148,6 +156,8 @@ class Estimator:
             best=best,
             events=events,
             balance=state.balance.share,
+            gain=state.balance.gain,
+            bend=state.curve.bend,
         )
         _shut(estimate)
         return new, estimate
@@ -161,16 +171,19 @@ class Estimator:
         side_drag = self._filter.side_drag(filtered)
         matrix = self._filter.effectiveness_matrix(state.balance.matrix, side_drag, state.side_drag.share)
         thrust_left = filtered.thrust_shown
+        bent = self._none
         if True in failed.tolist():
             thrust_left = np.where(failed, 0.0, thrust_left)
+            bent = self._curve.shown(matrix, thrust_left)
         lift_m_s2 = self._balance.lift_m_s2(thrust_left)
         unbalanced = state.balance.share * lift_m_s2
+        turned = self._balance.turned(state.balance, thrust_left)
         whole = matrix.dot(thrust_left)
-        balanced = filtered.measured - whole
+        balanced = filtered.measured - whole - state.curve.bend * bent
         seen = None
         if motion is not None:
             lateral, rate = filtered.lateral_m_s2, filtered.rate_rad_s
-            seen = features(motion.velocity_m_s, motion.quaternion, lateral, rate, whole - unbalanced)
+            seen = features(motion.velocity_m_s, motion.quaternion, lateral, rate, whole - unbalanced - turned)
         basis = self._disturbance.basis(state.disturbance, seen, measurement.dt_s)
         expectation = self._disturbance.expect(state.disturbance, basis)
         residual = balanced - expectation.believed
@@ -184,6 +197,8 @@ class Estimator:
             thrust_left=thrust_left,
             lift_m_s2=lift_m_s2,
             unbalanced=unbalanced,
+            turned=turned,
+            bent=bent,
             balanced=balanced,
             features=seen,
             expectation=expectation,
@@ -197,9 +212,12 @@ class Estimator:
     ) -> tuple[sparse.Information, OnsetState, NDArray[np.float64]]:
         """S and q, the history of the onsets, and the slow part of w, with this sample."""
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
-        information = sparse.update(
-            state.information, matrix * w, seen.residual, seen.noise_weight, dt_s, self.tuning.sparse.forgetting_per_s
-        )
+        # What the motors turn beyond their steady part the file may have wrong: of that much nothing is evidence.
+        doubtful = self._doubt * matrix.dot(w - state.steady)
+        unknown = doubtful * doubtful + state.curve.variance * seen.bent * seen.bent
+        weight = 1.0 / (1.0 / seen.noise_weight + self.tuning.disturbance.correlation_s * unknown)
+        forgetting = self.tuning.sparse.forgetting_per_s
+        information = sparse.update(state.information, matrix * w, seen.residual, weight, dt_s, forgetting)
         steady = state.steady + self._steady * (w - state.steady)
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
 
@@ -217,7 +235,8 @@ class Estimator:
             return False, None, None
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
         yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
-        sums = self._onset.sums(onset, seen.effectiveness_matrix, seen.variance, yaw_error)
+        unknown = seen.variance + state.curve.variance * seen.bent * seen.bent
+        sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, yaw_error)
         gamma = self.tuning.onset.gamma_onset
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return self._decision.suspects(sums, failed, gamma), None, None
@@ -253,6 +272,7 @@ class Estimator:
             rate,
             measurement.allocation_norm,
             measurement.tracking_error,
+            float(seen.filtered.rate_rad_s[2]) * dt_s,
         )
         if rate != 1.0:
             return disturbance, state.side_drag
@@ -263,7 +283,7 @@ class Estimator:
     def _balanced(
         self, state: EstimatorState, seen: Seen, measurement: Measurement, rate: float, decision: DecisionState
     ) -> BalanceState:
-        """What steady flight shows of lift and centre of mass. At the beginning of a flight only a motor that is about
+        """What flight shows of lift, centre of mass and gains. At the beginning of a flight only a motor that is about
         to be declared stops it: what was there all the time is the file's error sooner than a failure."""
         time_s, balance = measurement.time_s, state.balance
         if not self._balance.due(balance, time_s) or True in decision.failed.tolist():
@@ -271,7 +291,8 @@ class Estimator:
         settling = time_s - state.started_s < self.tuning.estimator.learn_fast_s
         if decision.candidate if settling else rate != 1.0:
             return balance
-        return self._balance.learn(balance, time_s, seen.residual, seen.lift_m_s2, seen.variance)
+        gains = None if settling else measurement.gains
+        return self._balance.learn(balance, time_s, seen.residual, seen.lift_m_s2, seen.variance, gains)
 
     def _explained(self, effectiveness: NDArray[np.float64], failed: NDArray[np.bool_]) -> NDArray[np.float64] | None:
         """Share (m,) of each motor's thrust that the motors explain, so that the disturbance does not learn it
@@ -304,5 +325,6 @@ def _shut(estimate: Estimate) -> None:
     arrays = (e.effectiveness, e.deviation, e.failed, e.raw, e.residual, e.disturbance, e.thrust_shown, e.lateral_m_s2)
     for array in arrays if e.features is None else (*arrays, e.features):
         array.flags.writeable = False
-    if e.balance is not None:
-        e.balance.flags.writeable = False
+    for learnt in (e.balance, e.gain):
+        if learnt is not None:
+            learnt.flags.writeable = False

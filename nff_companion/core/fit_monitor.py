@@ -42,6 +42,7 @@ class FitState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     also the derivatives of the three modelled accelerations."""
 
     fit: Fit = NOTHING  # what is believed: the same several times
+    gains: NDArray[np.float64] | None = None  # (n,) rows over the file's, as far as they are known; None: not at all
     proven: bool = False  # it has fitted once: a failure later on does not change that
     wait: int = 0  # samples that are passed over
     looks: tuple[NDArray[np.float64], ...] = ()  # (7 + m,) each, since the last judgement
@@ -141,13 +142,15 @@ class FitMonitor:
     def _judged(self, state: FitState) -> FitState:
         """Believed is what is said several times. Where the sums are none of a vehicle it begins anew: it may not know,
         and may not end what flies."""
-        anew = replace(self.start(), fit=state.fit, proven=state.proven)
+        anew = replace(self.start(), fit=state.fit, gains=state.gains, proven=state.proven)
         if not float(np.abs(state.sums).max()) + float(np.abs(state.total).max()) < _SUM_MAX:  # NaN is not less
             return anew
         try:
-            fit = judged(self.seen(state), self._tuning)
+            seen = self.seen(state)
+            fit = judged(seen, self._tuning)
         except np.linalg.LinAlgError:
             return anew
+        state = replace(state, gains=self._gains(seen))
         if state.proven and fit.verdict == FitVerdict.DOES_NOT_FIT:
             return state  # the vehicle has changed, not its file
         alike = state.alike + 1 if fit.verdict == state.last else 1
@@ -155,6 +158,21 @@ class FitMonitor:
             return replace(state, alike=alike, last=fit.verdict)
         proven = state.proven or fit.verdict == FitVerdict.FITS
         return replace(state, alike=alike, last=fit.verdict, fit=fit, proven=proven)
+
+    def _gains(self, seen: Seen) -> NDArray[np.float64] | None:
+        """(n,): motors that lift more than the file says turn as much more; that is believed as much as files are
+        right, what was seen of an axis as much as its ends agree."""
+        if seen.thrust is None:
+            return None
+        o, gains, lifted = self._tuning, np.ones(1 + _AXES), math.log(seen.thrust.middle)
+        for axis, (factor, deviation) in enumerate(zip(seen.turns, o.gain_deviation, strict=True)):
+            beside = 0.0
+            if factor is not None:
+                noise = math.hypot(0.5 * math.log(factor.high / factor.low), o.gain_noise)
+                beside = (math.log(factor.middle) - lifted) * deviation**2 / (deviation**2 + noise**2)
+            most = o.gain_deviations_max * deviation
+            gains[1 + axis] = math.exp(lifted + min(max(beside, -most), most))
+        return gains
 
     def seen(self, state: FitState) -> Seen:
         """The numbers of what has been gathered."""

@@ -102,6 +102,11 @@ class OnsetBank:
         state.next = (first + 1) % self.length
         return state
 
+    def worked(self, state: OnsetState) -> NDArray[np.float64]:
+        """Mean of w (m,) over as much of the memory as there is."""
+        w = state.thrust_shown[state.next : state.next + self.length]
+        return np.asarray(np.add.reduce(w, axis=0) / max(int(np.count_nonzero(w.any(axis=1))), 1))
+
     def sums(
         self,
         state: OnsetState,

@@ -89,3 +89,26 @@ def test_a_motor_that_hardly_turns_is_not_named(octo: Vehicle, turned: float, na
         state, new = decision.step(state, 0.005 * k, best, np.ones(8), np.ones(8), np.full(8, 0.4), turned=shown)
         events += new
     assert {event.motor for event in events} == ({7} if named else set())
+
+
+def test_gains_are_followed_slowly_and_hold_the_centre_of_mass(octo: Vehicle) -> None:
+    balance = Balance(octo, TUNING.balance, CORRELATION_S)
+    state = balance.start(0.0)
+    thrust = np.linspace(0.3, 0.5, octo.motors)
+    assert not np.any(balance.turned(state, thrust))
+    gains = np.array([1.0, 1.0, 0.95, 0.7])
+    for k in range(1, round(1.0 / CORRELATION_S) + 1):
+        state = balance.learn(state, CORRELATION_S * k, np.zeros(4), GRAVITY_M_S2, VARIANCE, gains)
+    assert state.gain is not None
+    assert state.gain[3] == pytest.approx(1.0 - TUNING.balance.gain_per_s, abs=0.02)
+    for k in range(round(1.0 / CORRELATION_S) + 1, round(5.0 / CORRELATION_S)):
+        state = balance.learn(state, CORRELATION_S * k, np.zeros(4), GRAVITY_M_S2, VARIANCE, gains)
+    assert state.gain is not None
+    np.testing.assert_allclose(state.gain, gains)
+    np.testing.assert_allclose(state.matrix, gains[:, None] * octo.acceleration_effectiveness, atol=1e-12)
+    np.testing.assert_allclose(
+        balance.turned(state, thrust), (gains - 1.0) * (octo.acceleration_effectiveness @ thrust), atol=1e-12
+    )
+    kept = balance.learn(state, state.learnt_s + 1.0, np.zeros(4), GRAVITY_M_S2, VARIANCE)
+    assert kept.gain is not None
+    np.testing.assert_allclose(kept.gain, gains)

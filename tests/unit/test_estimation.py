@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -308,6 +310,28 @@ def test_the_disturbance_may_not_grow_into_the_place_of_a_motor(octo: Vehicle) -
     for _ in range(round(3.0 / DT)):
         state = disturbance.step(state, state.basis, np.zeros(4), DT)
     assert np.abs(disturbance.predict(state, state.basis)[1:3]).max() < 0.2 * np.abs(loss[1:3]).max(), "wound up"
+
+
+def test_what_the_wind_turns_stays_with_the_wind_while_the_vehicle_turns(octo: Vehicle) -> None:
+    """Roll and pitch torque of a wind from ahead are those of one from the left after a quarter turn to the right."""
+    long = copy.copy(octo)
+    long.inertia_kg_m2 = octo.inertia_kg_m2 * [0.7, 1.4, 1.0]
+    for model in (octo, long):
+        disturbance = Disturbance(model)
+        state = disturbance.start()
+        torque = 0.1 * model.inertia_kg_m2[:2] * disturbance.loss_scale[1:3].min()
+        y = np.array([0.3, *(torque * [1.0, 0.5] / model.inertia_kg_m2[:2]), 0.02])
+        for _ in range(4000):
+            state = disturbance.step(state, state.basis, y, DT)
+        before = disturbance.predict(state, state.basis)
+        quarter = round(1.0 / DT)
+        for _ in range(quarter):
+            expectation = disturbance.expect(state, state.basis)
+            state = disturbance.learn(state, expectation, y, DT, 0.0, turned_rad=0.5 * np.pi / quarter)
+        after = disturbance.predict(state, state.basis)
+        jx, jy = model.inertia_kg_m2[:2]
+        np.testing.assert_allclose(after[1:3], [before[2] * jy / jx, -before[1] * jx / jy], rtol=1e-6)
+        np.testing.assert_allclose(after[[0, 3]], before[[0, 3]])
 
 
 def test_a_sudden_loss_shows_monotonically_from_nought_to_one() -> None:

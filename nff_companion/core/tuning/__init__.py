@@ -22,6 +22,7 @@ from nff_companion.core.tuning.decision import DecisionTuning, EstimatorTuning, 
 from nff_companion.core.tuning.estimation import (
     AdaptationTuning,
     BalanceTuning,
+    CurveTuning,
     DisturbanceTuning,
     NetworkTuning,
     ResidualTuning,
@@ -38,6 +39,7 @@ __all__ = [
     "AdaptationTuning",
     "BalanceTuning",
     "CompanionTuning",
+    "CurveTuning",
     "DecisionTuning",
     "DisturbanceTuning",
     "EstimatorTuning",
@@ -64,6 +66,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     residual: ResidualTuning = ResidualTuning()
     disturbance: DisturbanceTuning = DisturbanceTuning()
     balance: BalanceTuning = BalanceTuning()
+    curve: CurveTuning = CurveTuning()
     adaptation: AdaptationTuning = AdaptationTuning()
     network: NetworkTuning = NetworkTuning()
     sparse: SparseTuning = SparseTuning()

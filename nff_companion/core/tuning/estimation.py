@@ -86,7 +86,7 @@ class DisturbanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 
 class BalanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What steady flight shows of lift and centre of mass (core/balance.py); deviations of a file's numbers."""
+    """What flight shows of lift, centre of mass and gains (core/balance.py); deviations of a file's numbers."""
 
     lift_deviation: Annotated[
         float, span(0.001, 1.0, "", "of what the motors lift, as a share: mass, full thrust, thrust curve at hover")
@@ -108,6 +108,28 @@ class BalanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         float,
         span(10.0, 1e9, "s", "in which each could change by its deviation: what is learnt slower is no failure"),
     ] = 1e6
+    gain_per_s: Annotated[
+        float, span(0.001, 10.0, "1/s", "by which the factor of a row follows what the flight shows of it")
+    ] = 0.3
+
+
+class CurveTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What flight on fewer motors shows of the thrust curve (core/curve.py)."""
+
+    bend_deviation: Annotated[
+        float,
+        span(0.001, 2.0, "", "of a file's curve: expo off by 0.3 and idle by 0.06 bend it by 0.4 to 1.1"),
+    ] = 0.3
+    deviations_max: Annotated[
+        float, span(0.5, 10.0, "deviations", "at most: what is beyond is not the file's error")
+    ] = 3.0
+    quickest_s: Annotated[
+        float, span(0.1, 10.0, "s", "time constant: a second motor that fails is named before it is learnt away")
+    ] = 0.3
+    drift_s: Annotated[
+        float,
+        span(0.5, 1e9, "s", "in which it is as little known as before: in hover errors of other kinds look like it"),
+    ] = 10.0
 
 
 class AdaptationTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

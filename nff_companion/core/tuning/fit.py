@@ -10,7 +10,9 @@ from typing import Annotated
 
 import msgspec
 
-from nff_companion.core.tuning.span import span
+from nff_companion.core.tuning.span import about, span
+
+Deviation = Annotated[float, msgspec.Meta(ge=0.001, le=2.0)]
 
 
 class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -56,6 +58,16 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     explained_min: Annotated[
         float, span(0.1, 0.99, "", "share of an axis' motion that the commands explain, for its gain to be known")
     ] = 0.6
+    gain_deviation: Annotated[
+        tuple[Deviation, Deviation, Deviation],
+        about("", "of the logarithm of what a file makes of roll, pitch and yaw, beside what it makes of lift"),
+    ] = (0.15, 0.15, 0.35)
+    gain_noise: Annotated[
+        float, span(0.001, 1.0, "", "of the logarithm of a factor seen, whose ends agree: wind bends yaw's by 0.08")
+    ] = 0.06
+    gain_deviations_max: Annotated[
+        float, span(0.5, 10.0, "deviations", "of each, at most: what is beyond is not the file's error")
+    ] = 2.0
     said_thrust: Annotated[
         float, span(1.02, 2.0, "", "factor of thrust over weight, either way, that is worth saying")
     ] = 1.1
