@@ -13,9 +13,9 @@ from sitl import rotation
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 from sitl.autopilot.autopilot import Autopilot, Mode
 from sitl.compiled import kernel, part, prepare
-from sitl.faults import Fault, FaultSchedule
+from sitl.faults import Fault, FaultSchedule, Faulty
 from sitl.noise import vehicle_generators
-from sitl.plant import Faults, Makings, Motion, Plant, advance, initial_state
+from sitl.plant import Makings, Motion, Plant, advance, initial_state
 from sitl.sensors import Instruments, Reading, Sensors, estimate, sample
 from sitl.uncertainty import UNCERTAINTY_STREAM, Uncertainty
 from sitl.wind import Air, Wind, blow
@@ -85,7 +85,7 @@ class Course(NamedTuple):
     """What happens to them in one cycle of the autopilot, of K plant steps."""
 
     output: NDArray[np.float64]  # (N, m)
-    faults: Faults
+    faults: Faulty
     time_s: float
 
 
@@ -110,6 +110,8 @@ def _fly(flown: Flown, watch: Watch, course: Course, places: Places) -> None:
         for k in range(steps):
             wind = blow(n, air, gust + k, course.time_s + k / PLANT_RATE_HZ)
             advance(n, makings, motion, course.output, step + k, course.faults, k, wind)
+            for i in range(course.output.shape[1]):
+                instruments.shakers[n, i].strength = course.faults.shake[k, n, i]
             sample(n, instruments, motion, reading, draw + k, number + k)
         estimate(n, instruments, motion, reading, number + steps - 1)
         _judge(n, motion, watch)
@@ -181,5 +183,5 @@ class Fleet:
         self.max_tilt_rad = self.max_tilt_rad.copy()
         flown = Flown(makings, self.state.renewed(), air, instruments, self.sensors.measured.renewed())
         watch = Watch(autopilot.armed, autopilot.mode, autopilot.position.path, self.max_tilt_rad)
-        course = Course(output, Faults(*self.faults.over(times)), self.time_s)
+        course = Course(output, self.faults.over(times), self.time_s)
         return flown, watch, course, (step, gust_draw, draw, number)

@@ -13,6 +13,7 @@ from sitl import rotation
 from sitl.aerodynamics import airframe_drag, hub_moment, stream, thrust_factor
 from sitl.airframe import GRAVITY_M_S2, PlantParameters
 from sitl.compiled import flat, kernel, part, prepare
+from sitl.faults import Faulty
 from sitl.records import bodies, rotors
 from sitl.rotation import Vector, add_scaled, components, cross, put, scaled, to_body, to_ned, vector
 
@@ -88,13 +89,6 @@ class Makings(NamedTuple):
     dt_s: float
 
 
-class Faults(NamedTuple):
-    """Of K steps."""
-
-    effectiveness: NDArray[np.float64]  # (K, N, m)
-    stuck: NDArray[np.bool_]  # (K, N, m)
-
-
 def full_load_share() -> float:
     """Thrust that a full battery's sag leaves at full throttle, over that of full voltage."""
     return (1.0 - _BATTERY_SAG) ** 2
@@ -139,7 +133,13 @@ def _send(n: int, makings: Makings, output: NDArray[np.float64], step: int) -> N
 
 
 @part
-def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: Faults, k: int) -> float:
+def _speed(share: float) -> float:
+    """Of a rotor over its full one, by its thrust over full thrust; below 0: it turns the other way."""
+    return math.sqrt(share) if share >= 0.0 else -math.sqrt(-share)
+
+
+@part
+def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: Faulty, k: int) -> float:
     """Thrust and speed of each rotor, towards what the motors hear now; returns the mean thrust in N."""
     body, ring, thrust, held = makings.bodies[n], makings.outputs, motion.thrust_n, motion.held_command
     size, late, share_late, motors = ring.shape[1], body.late_steps, body.late_share, thrust.shape[1]
@@ -155,13 +155,18 @@ def _spin_up(n: int, makings: Makings, motion: Motion, step: int, faults: Faults
         rotor, before = makings.rotors[n, i], thrust[n, i]
         if not faults.stuck[k, n, i]:
             held[n, i] = ring[n, younger, i] + share_late * (ring[n, older, i] - ring[n, younger, i])
+        elif not math.isnan(faults.held[k, n, i]):
+            held[n, i] = faults.held[k, n, i]
         fraction = _compiled_fraction(held[n, i], body.spin_min, body.spin_max, body.thrust_expo)
         target = rotor.max_thrust_n * fraction * faults.effectiveness[k, n, i] * (voltage * voltage)
-        after = before + (rotor.share_up if target > before else rotor.share_down) * (target - before)
+        share = rotor.share_up if target > before else rotor.share_down
+        if faults.slower[k, n, i] != 1.0:
+            share = 1.0 - (1.0 - share) ** (1.0 / faults.slower[k, n, i])
+        after = before + share * (target - before)
         thrust[n, i] = after
         total += after
-        rotor.speed = math.sqrt(after / rotor.max_thrust_n)
-        rotor.speed_rate_per_s = (rotor.speed - math.sqrt(before / rotor.max_thrust_n)) / makings.dt_s
+        rotor.speed = _speed(after / rotor.max_thrust_n)
+        rotor.speed_rate_per_s = (rotor.speed - _speed(before / rotor.max_thrust_n)) / makings.dt_s
     return total / motors
 
 
@@ -177,7 +182,7 @@ def _wrench(n: int, makings: Makings, motion: Motion, air: Vector, mean_n: float
     force, torque, momentum = drag, cross(components(body.pressure_centre_m), drag), (0.0, 0.0, 0.0)
     for i in range(motion.thrust_n.shape[1]):
         rotor = makings.rotors[n, i]
-        x, y, axis, speed = rotor.x_m, rotor.y_m, (rotor.axis_x, rotor.axis_y, rotor.axis_z), rotor.speed
+        x, y, axis, speed = rotor.x_m, rotor.y_m, (rotor.axis_x, rotor.axis_y, rotor.axis_z), abs(rotor.speed)
         # Momentum drag: a rotor resists motion through the air along its disc and along its axis, where it is the
         # damping of climb, roll and pitch; the axial speed is that of the hub.
         braking = -body.rotor_drag_n_s_per_m * speed
@@ -196,7 +201,7 @@ def _wrench(n: int, makings: Makings, motion: Motion, air: Vector, mean_n: float
             torque[1] - rotor.hub_height_m * side_x + flap_pitch,
             torque[2] + side_y * x - side_x * y,
         )
-        momentum = add_scaled(momentum, body.rotor_momentum * speed * rotor.spin, axis)
+        momentum = add_scaled(momentum, body.rotor_momentum * rotor.speed * rotor.spin, axis)
     return force, torque, momentum
 
 
@@ -207,7 +212,7 @@ def advance(
     motion: Motion,
     output: NDArray[np.float64],
     step: int,
-    faults: Faults,
+    faults: Faulty,
     k: int,
     wind: Vector,
 ) -> None:
@@ -265,7 +270,7 @@ def _advance_all(
     motion: Motion,
     output: NDArray[np.float64],
     step: int,
-    faults: Faults,
+    faults: Faulty,
     wind: NDArray[np.float64],
 ) -> None:
     for n in range(len(output)):
@@ -312,7 +317,7 @@ class Plant:
     def prepare(self, state: PlantState) -> None:
         """Compile, or load, what ``step`` and ``specific_force`` run."""
         n, m = state.thrust_n.shape
-        faults = Faults(np.ones((1, n, m)), np.zeros((1, n, m), bool))
+        faults = Faulty.over([Faulty.none(n, m)])
         prepare(_advance_all, self.take(0)[0], state.motion(), np.zeros((n, m)), 0, faults, np.zeros((n, 3)))
         prepare(_specific_forces, state.motion(), np.zeros((n, 3)))
 
@@ -320,13 +325,12 @@ class Plant:
         self,
         state: PlantState,
         output: NDArray[np.float64],
-        effectiveness: NDArray[np.float64],
-        stuck: NDArray[np.bool_],
         wind_m_s: NDArray[np.float64],
+        faulty: Faulty | None = None,
     ) -> None:
         """Advance ``state`` by one step. ``output`` (N, m) is what the autopilot drives the motors with."""
         makings, step = self.take(1)
-        faults = Faults(flat(effectiveness)[None], np.ascontiguousarray(stuck)[None])
+        faults = Faulty.over([faulty or Faulty.none(len(output), output.shape[1])])
         _advance_all(makings, state.renewed(), flat(output), step, faults, flat(wind_m_s))
 
     def specific_force(self, state: PlantState) -> NDArray[np.float64]:

@@ -46,6 +46,7 @@ SHAKER = np.dtype(
         ("full_speed_rad_s", "f8"),
         ("max_thrust_n", "f8"),
         ("phase", "f8"),
+        ("strength", "f8"),  # 1: of a whole propeller
         ("roll", "f8"),  # share of the gyro's shaking
         ("pitch", "f8"),
         ("yaw", "f8"),
@@ -129,12 +130,12 @@ def sample(n: int, instruments: Instruments, motion: Motion, reading: Reading, d
     x = y = z = p = q = r = 0.0
     for i in range(motion.thrust_n.shape[1]):
         shaker = instruments.shakers[n, i]
-        squared = motion.thrust_n[n, i] / shaker.max_thrust_n  # of the rotor's speed over the full one
+        squared = abs(motion.thrust_n[n, i]) / shaker.max_thrust_n  # of the rotor's speed over the full one
         phase = shaker.phase + own.dt_s * shaker.full_speed_rad_s * math.sqrt(squared)
         while phase >= _TURN:
             phase -= _TURN
         shaker.phase = phase
-        shake = math.sin(phase) * squared
+        shake = shaker.strength * math.sin(phase) * squared
         p += shake * shaker.roll
         q += shake * shaker.pitch
         r += shake * shaker.yaw
@@ -192,6 +193,7 @@ class Sensors:
         self._sensors["gyro_filter"] = low_pass(parameters.gyro_filter_hz, dt_s)
         self._sensors["accelerometer_filter"] = low_pass(parameters.accelerometer_filter_hz, dt_s)
         self._sensors["decay"], self._sensors["dt_s"] = math.exp(-dt_s / _WANDER_TIME_S), dt_s
+        self._shakers["strength"] = 1.0
         self._shakers["phase"] = np.stack([g.uniform(0, 2 * math.pi, m) for g in generators])
         direction = np.stack([g.standard_normal((m, 6)) for g in generators]) / math.sqrt(m)
         for k, name in enumerate(("roll", "pitch", "yaw", "x", "y", "z")):

@@ -82,10 +82,10 @@ class Physics:
         self.output = np.clip(np.nan_to_num(output, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
         state = self.state
         for _ in range(count):
-            effectiveness, stuck = self.faults.at(self.time_s)
+            faulty = self.faults.at(self.time_s)
             falling = float(state.velocity_m_s[0, 2])
             was_up = not bool(state.on_ground[0])
-            self._plant.step(state, self.output[None], effectiveness, stuck, self._wind.step(self.time_s))
+            self._plant.step(state, self.output[None], self._wind.step(self.time_s), faulty)
             self.time_s += dt
             if was_up and bool(state.on_ground[0]) and falling > _IMPACT_M_S:
                 state.crashed[0] = True

@@ -57,9 +57,8 @@ def test_free_fall_and_spin_follow_newton_and_euler() -> None:
     state = initial_state(parameters, height_m=100.0)
     state.rate_rad_s[:] = [0.3, -0.2, 0.5]
     momentum = parameters.inertia_kg_m2[0] * state.rate_rad_s[0]
-    healthy, stuck, still = np.ones((1, 8)), np.zeros((1, 8), bool), np.zeros((1, 3))
     for _ in range(600):
-        plant.step(state, np.zeros((1, 8)), healthy, stuck, still)
+        plant.step(state, np.zeros((1, 8)), np.zeros((1, 3)))
     # Drag of a fall from rest is below 2 % in half a second.
     assert state.velocity_m_s[0, 2] == pytest.approx(0.5 * 9.80665, rel=0.02)
     after = rotation.to_matrix(state.quaternion)[0] @ (parameters.inertia_kg_m2[0] * state.rate_rad_s[0])
@@ -74,7 +73,7 @@ def test_rotor_torques_have_the_signs_of_the_frame() -> None:
         output = np.zeros((1, 8))
         output[0, motor] = 0.6
         for _ in range(60):
-            plant.step(state, output, np.ones((1, 8)), np.zeros((1, 8), bool), np.zeros((1, 3)))
+            plant.step(state, output, np.zeros((1, 3)))
         x, y = parameters.position_m[motor]
         assert np.sign(state.rate_rad_s[0]).tolist() == [-np.sign(y), np.sign(x), parameters.spin[motor]]
 
@@ -95,19 +94,63 @@ def test_faults_come_and_go_as_scheduled() -> None:
         Fault(vehicle=0, motor=3, start_s=1.0, kind="ramp", duration_s=2.0),
         Fault(vehicle=0, motor=4, start_s=1.0, kind="intermittent", duration_s=0.5),
         Fault(vehicle=0, motor=5, start_s=1.0, kind="stuck"),
+        Fault(vehicle=0, motor=6, start_s=1.0, kind="high"),
+        Fault(vehicle=0, motor=7, start_s=1.0, kind="slow", slower=5.0),
+        Fault(vehicle=0, motor=8, start_s=1.0, kind="blade", effectiveness=0.6, until_s=3.0),
     ]
     schedule = FaultSchedule(1, 8, faults)
     seen = {t: tuple(a[0].tolist() for a in schedule.at(t)) for t in (0.5, 1.1, 1.3, 2.5, 3.5)}
     assert seen[0.5][0] == [1.0] * 8
+    assert seen[1.1][0][5:] == [1.0, 1.0, 0.6]
+    assert seen[1.1][2][5] == 1.0
+    assert [seen[t][3][6] for t in (0.5, 1.1)] == [1.0, 5.0]
+    assert [seen[t][4][7] > 1.0 for t in (0.5, 1.1, 3.5)] == [False, True, False]
     assert seen[1.1][0][:5] == pytest.approx([0.0, 0.4, 0.95, 0.0, 1.0])
     assert seen[1.3][0][3] == 1.0
     assert seen[2.5][0][:3] == pytest.approx([0.0, 1.0, 0.25])
     assert seen[3.5][0][2] == 0.0
-    assert seen[1.1][1] == [False] * 4 + [True] + [False] * 3
+    assert seen[1.1][1] == [False] * 4 + [True, True] + [False] * 2
     with pytest.raises(ValueError, match="no such motor"):
         FaultSchedule(1, 8, [Fault(vehicle=0, motor=9, start_s=0.0)])
     with pytest.raises(ValueError, match="choose one of"):
         Fault(vehicle=0, motor=1, start_s=0.0, kind="tired")
+    with pytest.raises(ValueError, match="1 or more"):
+        Fault(vehicle=0, motor=1, start_s=0.0, kind="slow", slower=0.5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "share"),
+    [
+        (Fault(vehicle=0, motor=1, start_s=0.0, kind="high"), 1.0),
+        (Fault(vehicle=0, motor=1, start_s=0.0, kind="reversed", effectiveness=0.5), -0.5),
+        (Fault(vehicle=0, motor=1, start_s=0.0, kind="blade", effectiveness=0.6), 0.6),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)
+def test_a_motor_does_what_its_fault_says(fault: Fault, share: float) -> None:
+    """Thrust of motor 1 after a second, over that of a healthy one at the same output (high: at full output)."""
+    parameters = airframe.load(OCTO)
+    plant, schedule = Plant(parameters, 1 / 1200), FaultSchedule(1, 8, [fault])
+    state = initial_state(parameters, height_m=1000.0)
+    for k in range(1200):
+        plant.step(state, np.full((1, 8), 0.6), np.zeros((1, 3)), schedule.at(k / 1200))
+    full = state.thrust_n[0, 1] if fault.kind != "high" else parameters.max_thrust_n[0, 0] * state.battery[0] ** 2
+    assert state.thrust_n[0, 0] == pytest.approx(share * full, rel=0.15 if fault.kind == "high" else 1e-6)
+    assert np.isfinite(state.rate_rad_s).all()
+
+
+def test_a_slow_motor_takes_its_times_as_long() -> None:
+    parameters = airframe.load(OCTO)
+    slow = Fault(vehicle=0, motor=1, start_s=0.0, kind="slow", slower=5.0)
+    late_steps = []
+    for motor in (0, 1):
+        plant, schedule = Plant(parameters, 1 / 1200), FaultSchedule(1, 8, [slow])
+        state, steps = initial_state(parameters, height_m=1000.0), 0
+        while state.thrust_n[0, motor] < 0.2 * parameters.max_thrust_n[0, motor]:
+            plant.step(state, np.full((1, 8), 0.6), np.zeros((1, 3)), schedule.at(0.0))
+            steps += 1
+        late_steps.append(steps)
+    assert late_steps[0] == pytest.approx(5.0 * late_steps[1], rel=0.15)
 
 
 def test_mixer_keeps_roll_and_pitch_over_yaw_when_saturated() -> None:

@@ -105,10 +105,10 @@ def test_faults_over_some_steps_are_those_at_each() -> None:
     together, each = FaultSchedule(2, 4, faults), FaultSchedule(2, 4, faults)
     for cycle in range(30):
         times = [0.0025 * cycle + k / 1200 for k in range(3)]
-        effectiveness, stuck = together.over(times)
+        over = together.over(times)
         for k, time_s in enumerate(times):
-            np.testing.assert_array_equal(effectiveness[k], each.at(time_s)[0])
-            np.testing.assert_array_equal(stuck[k], each.at(time_s)[1])
+            for values, at in zip(over, each.at(time_s), strict=True):
+                np.testing.assert_array_equal(values[k], at)
     together.add(Fault(vehicle=0, motor=3, start_s=0.0))
     assert together.over([0.08])[0][0, 0, 2] == 0.0
     together.clear(0, 3)

@@ -33,7 +33,7 @@ def measured_by_the_plant(path: Path, fraction: NDArray[np.float64], **options: 
     )
     plant, state = Plant(parameters, 1e-4), initial_state(parameters, height_m=100.0)
     state.thrust_n[:] = parameters.max_thrust_n * fraction
-    plant.step(state, np.zeros((1, 8)), np.ones((1, 8)), np.zeros((1, 8), bool), np.zeros((1, 3)))
+    plant.step(state, np.zeros((1, 8)), np.zeros((1, 3)))
     return np.concatenate([-plant.specific_force(state)[0, 2:], state.rate_rad_s[0] / 1e-4])
 
 
@@ -315,7 +315,7 @@ def test_hubs_at_their_own_heights_drag_there(tmp_path: Path) -> None:
     for parameters in (plain, low, high):
         plant, state = Plant(parameters, 1e-3), initial_state(parameters, height_m=50.0)
         state.thrust_n[:] = 7.0
-        plant.step(state, np.full((1, 8), 0.5), np.ones((1, 8)), np.zeros((1, 8), bool), np.array([[4.0, 0.0, 0.0]]))
+        plant.step(state, np.full((1, 8), 0.5), np.array([[4.0, 0.0, 0.0]]))
         rates.append(state.rate_rad_s[0])
     np.testing.assert_allclose(rates[1], rates[0], atol=1e-12)
     speed = np.sqrt(7.0 / 18.387)

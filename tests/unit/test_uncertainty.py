@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
 from sitl import airframe
+from sitl.faults import Faulty
 from sitl.fleet import Fleet, FleetOptions, learned_hover_throttle
 from sitl.noise import vehicle_generators
 from sitl.plant import Plant, initial_state
@@ -44,8 +45,7 @@ def first_motion(parameters: airframe.PlantParameters, output: NDArray[np.float6
     plant = Plant(parameters, DT)
     state = initial_state(parameters, height_m=100.0)
     state.thrust_n[:] = parameters.max_thrust_n * plant.thrust_fraction(output)
-    n, m = parameters.vehicles, parameters.motors
-    plant.step(state, output, np.ones((n, m)), np.zeros((n, m), bool), np.zeros((n, 3)))
+    plant.step(state, output, np.zeros((parameters.vehicles, 3)))
     return state.rate_rad_s / DT
 
 
@@ -77,7 +77,7 @@ def test_geometry_and_constants_of_each_vehicle_do_what_those_of_all_do() -> Non
         for k in range(1200):
             output = 0.55 + 0.02 * np.sin(0.01 * k * np.arange(1, 25).reshape(3, 8))
             wind = np.array([[5.0, 1.0, 0.0], [0.0, 0.0, 0.0], [-3.0, 2.0, 0.5]])
-            plant.step(state, output, np.ones((3, 8)), np.zeros((3, 8), bool), wind)
+            plant.step(state, output, wind)
         states.append(state)
     assert states[0].rate_rad_s.any()
     for name in ("position_m", "quaternion", "rate_rad_s", "thrust_n"):
@@ -167,7 +167,7 @@ def test_a_step_of_the_output_shows_later_by_the_delay(delay_s: float) -> None:
     rows = []
     for k in range(1200):
         output = np.full((2, 8), 0.3 if k < 600 else 0.8)
-        plant.step(state, output, np.ones((2, 8)), np.zeros((2, 8), bool), np.zeros((2, 3)))
+        plant.step(state, output, np.zeros((2, 3)))
         rows.append(state.thrust_n[:, 0])
     rise = np.array(rows)[600:]
     end = rise[-1].max()
@@ -178,10 +178,10 @@ def test_a_step_of_the_output_shows_later_by_the_delay(delay_s: float) -> None:
 def test_a_stuck_motor_holds_what_it_heard_last() -> None:
     parameters = dataclasses.replace(nominal(), output_delay_s=np.array([0.01]))
     plant, state = Plant(parameters, DT), initial_state(parameters, height_m=100.0)
-    stuck = np.zeros((1, 8), bool)
+    faulty = Faulty.none(1, 8)
     for k in range(40):
-        stuck[0, 2] = k >= 30
-        plant.step(state, np.full((1, 8), 0.01 * k), np.ones((1, 8)), stuck, np.zeros((1, 3)))
+        faulty.stuck[0, 2] = k >= 30
+        plant.step(state, np.full((1, 8), 0.01 * k), np.zeros((1, 3)), faulty)
     assert state.held_command[0, 2] == pytest.approx(0.01 * (29 - 12))
     assert state.held_command[0, 3] == pytest.approx(0.01 * (39 - 12))
 

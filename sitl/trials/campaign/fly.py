@@ -66,6 +66,7 @@ def faults(cases: list[Case]) -> list[Fault]:
             kind=case.fault,
             effectiveness=case.left,
             duration_s=case.duration_s,
+            slower=case.slower,
         )
         for vehicle, case in enumerate(cases)
         for motor in case.motors

@@ -20,6 +20,8 @@ _COLUMNS = {
     "delay_median_s": "median, s",
     "delay_p99_s": "99 %, s",
     "delay_worst_s": "worst, s",
+    "partly": "partly lost",
+    "changes_most": "most changes",
     "survived": "flies on",
     "alone_survived": "alone",
     "tilt_median_deg": "tilt, deg",

@@ -17,10 +17,12 @@ from nff_companion.core.tuning.span import span
 from nff_companion.errors import ConfigError
 
 Manoeuvre = Literal["hover", "climb", "descent", "turn", "forward", "steps"]
-FaultKind = Literal["none", "total", "partial", "ramp", "intermittent", "stuck"]
+FaultKind = Literal["none", "total", "partial", "ramp", "intermittent", "stuck", "high", "slow", "reversed", "blade"]
 Event = Literal["none", "gust", "drop", "hook", "shift", "sag"]
 Level = Literal["exact", "calibrated", "geometry", "estimated"]
 MANOEUVRES: tuple[Manoeuvre, ...] = ("hover", "climb", "descent", "turn", "forward")
+_LEFT = {"reversed": (0.2, 0.6), "blade": (0.3, 0.8)}  # of the thrust, by what such faults are
+_SLOWER = math.log(3.0), math.log(10.0)  # times the lag
 Share = Annotated[float, span(0.0, 1.0, "", "")]
 Seconds = Annotated[float, span(0.0, 3600.0, "s", "")]
 Speed = Annotated[float, span(0.0, 20.0, "m/s", "")]
@@ -64,6 +66,7 @@ class Case:
     motors: tuple[int, ...]
     left: float
     duration_s: float
+    slower: float
     event: Event
     at_s: float
     until_s: float
@@ -113,18 +116,24 @@ def drawn(scenario: Scenario, flight: int) -> Case:
     motors = vehicles.load(scenario.airframes[airframe]).motors
     order = draw.permutation(motors)  # drawn also where nothing fails: what follows is the same
     at_s = draw.uniform(*scenario.at_s)
-    low, high = scenario.duration_s
+    left = draw.uniform(*scenario.left) if kind in ("partial", "ramp") else 0.0
+    shortest, longest = (math.log(max(duration_s, 1e-3)) for duration_s in scenario.duration_s)
+    duration_s, wind_m_s = math.exp(draw.uniform(shortest, longest)), draw.uniform(*scenario.wind_m_s)
+    seed = int(draw.integers(2**31))
+    if kind in _LEFT:
+        left = draw.uniform(*_LEFT[kind])
     return Case(
         flight=flight,
         airframe=scenario.airframes[airframe],
         manoeuvre=scenario.manoeuvres[manoeuvre],
         fault=kind,
         motors=() if kind == "none" else tuple(sorted(1 + int(motor) for motor in order[: scenario.motors])),
-        left=draw.uniform(*scenario.left) if kind in ("partial", "ramp") else 0.0,
-        duration_s=math.exp(draw.uniform(math.log(max(low, 1e-3)), math.log(max(high, 1e-3)))),
+        left=left,
+        duration_s=duration_s,
+        slower=math.exp(draw.uniform(*_SLOWER)) if kind == "slow" else 1.0,
         event=scenario.events[event],
         at_s=at_s,
         until_s=at_s + scenario.fly_on_s,
-        wind_m_s=draw.uniform(*scenario.wind_m_s),
-        seed=int(draw.integers(2**31)),
+        wind_m_s=wind_m_s,
+        seed=seed,
     )

@@ -24,6 +24,7 @@ _TYPES = {
     "motors": "list<int64>",
     "left": "double",
     "duration_s": "double",
+    "slower": "double",
     "event": "string",
     "at_s": "double",
     "until_s": "double",

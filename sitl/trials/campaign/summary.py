@@ -39,6 +39,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "missed": missed,
         "missed_at_most": round(at_most(missed, len(failing)), 6) if failing else None,
         "partly": sum(row["partly_s"] is not None for row in rows),
+        "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
         "hours": round(hours, 3),
         "delay_median_s": round(float(np.median(delays)), 4) if delays.size else None,
         "delay_p99_s": round(float(np.percentile(delays, 99.0)), 4) if delays.size else None,
