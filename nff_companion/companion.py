@@ -193,6 +193,7 @@ class Companion:
                 failed[[motor - 1 for motor in orders.adopt]] = True
             failed[[motor - 1 for motor in orders.lift]] = False
             failed.flags.writeable = False
+            state = _lifted(state, orders.lift)
         if orders.mode is None:
             return replace(state, failed=failed)
         return replace(state, failed=failed, mode=orders.mode, loop=OverrideState(), blind=None)
@@ -378,3 +379,13 @@ def _motion(sample: Sample) -> Motion | None:
     if velocity is None or quaternion is None or not sample.moves_plausibly:
         return None
     return Motion(velocity, quaternion)
+
+
+def _lifted(state: CompanionState, motors: tuple[int, ...]) -> CompanionState:
+    """Of two motors (from 1) of which one was believed lost, the operator's word for one is for both."""
+    estimate = state.estimate
+    if not isinstance(estimate, EstimatorState) or not {motor - 1 for motor in motors} & set(estimate.decision.either):
+        return state
+    return replace(
+        state, estimate=dataclasses.replace(estimate, decision=dataclasses.replace(estimate.decision, either=()))
+    )

@@ -78,6 +78,8 @@ class Reason(Enum):
     REALLOCATED = (62, "reallocated without motors {}")
     REALLOCATED_NO_YAW = (62, "reallocated without motors {}, yaw given up")
     STOPPED = (62, "motors {} stopped, no matrix in force")
+    EITHER = (63, "reallocated: motor {} lost")
+    EITHER_NO_YAW = (63, "reallocated: motor {} lost, yaw given up")
     PARTIAL = (63, "reallocated a partial loss")
     PARTIAL_NO_YAW = (63, "reallocated a partial loss, yaw given up")
     HEALTHY = (64, "all motors healthy")

@@ -93,6 +93,7 @@ class Outcome:
             unallocated=self._none if planning.plan is None else planning.plan.unallocated,
             rejected=planning.rejected,
             bad_samples=state.bad_samples,
+            either=() if estimate is None else tuple(motor + 1 for motor in estimate.either),
             fit=state.fit.fit,
             trusted=state.trusted,
             notes=notes,

@@ -209,6 +209,7 @@ class Reporter:
             "flying": output.flying,
             "motors": self._motors(output),
             "failed": numbers(output.failed),
+            "either": list(output.either),
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],

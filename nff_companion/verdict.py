@@ -74,6 +74,9 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     no_yaw = condition.in_force.yaw_released or (output.plan is not None and bool(output.plan.released))
     if output.failed.any():
         return Statement(Reason.REALLOCATED_NO_YAW if no_yaw else Reason.REALLOCATED, motors)
+    if output.either:
+        one = " or ".join(map(str, output.either))
+        return Statement(Reason.EITHER_NO_YAW if no_yaw else Reason.EITHER, one)
     return Statement(Reason.PARTIAL_NO_YAW if no_yaw else Reason.PARTIAL)
 
 

@@ -13,6 +13,7 @@ from nff_companion.allocation import Allocator
 from nff_companion.allocation.plan import Plan, Refusal, make_plan
 from nff_companion.core import sparse
 from nff_companion.core.estimate import Estimate
+from nff_companion.core.mates import HALF
 from nff_companion.core.tuning import PlannerTuning
 from nff_companion.core.vehicle import Vehicle
 
@@ -80,7 +81,7 @@ class Planner:
         begins to look like a partial loss may be an error of the model."""
         o = self._tuning
         full_at = o.shape_full_at if self._given_target is None else 1.0
-        clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any()
+        clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any() and not estimate.either
         if clear and state.untouched:
             return state
         low_since, target = self._target(state, time_s, estimate, trust_partial)
@@ -91,7 +92,8 @@ class Planner:
                 caught_s = time_s + o.catch_s
             declared_s = time_s
         catching = time_s < caught_s
-        at_once = bool(estimate.events) or (state.catching and not catching)
+        begun = any(state.planned_for[motor] == 1.0 for motor in estimate.either)
+        at_once = bool(estimate.events) or begun or (state.catching and not catching)
         state = replace(
             state,
             low_since_s=low_since,
@@ -137,5 +139,6 @@ class Planner:
             lasting = time_s - np.nan_to_num(low_since, nan=np.inf) >= o.degraded_for_s
             shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
             target = np.where(low & lasting, np.maximum(shaped, o.partial_min), target)
+        target[list(estimate.either)] = HALF
         target[estimate.failed] = 0.0
         return low_since, target

@@ -7,13 +7,14 @@ back to healthy. It is lifted by the operator, or by evidence while the motor is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
+from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import DecisionTuning
 
@@ -28,6 +29,8 @@ class Hypothesis:
     margin: float
     explained: float
     age_s: float
+    beside: float = 0.0  # margin over the next that is not of the same place (core/mates.py)
+    place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
 
     @property
     def confidence(self) -> float:
@@ -51,6 +54,7 @@ class DecisionState:
     """What is declared and what is being confirmed. Motors are indices from 0."""
 
     failed: NDArray[np.bool_]  # (m,) bool, latched
+    either: tuple[int, ...] = ()  # one of these two, above each other, has failed; latched
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
@@ -70,8 +74,8 @@ class DecisionState:
 class Decision:
     """Thresholds and the hypotheses of an airframe with m motors."""
 
-    def __init__(self, motors: int, axes: int, tuning: DecisionTuning) -> None:
-        self.tuning = tuning
+    def __init__(self, motors: int, axes: int, tuning: DecisionTuning, mates: Mates | None = None) -> None:
+        self.tuning, self._mates = tuning, mates
         # With fewer motors than axes left nothing can be told apart, nor done about it.
         self.failed_max = max(1, min(tuning.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
@@ -93,11 +97,29 @@ class Decision:
         gain = two_best[best] - one_best[first]
         if gain > o.pair_min:
             others = _beside(two_best, best)
-            return self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
+            found = self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
+            return self._of_place(found, pairs, two_best, one_best)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = _beside(one_best, first)
-        return self._describe((first,), one, first, sums, others, without)
+        found = self._describe((first,), one, first, sums, others, without)
+        return self._of_place(found, pairs, two_best, one_best)
+
+    def _of_place(
+        self,
+        found: Hypothesis,
+        pairs: NDArray[np.intp],
+        two_best: NDArray[np.float64],
+        one_best: NDArray[np.float64],
+    ) -> Hypothesis:
+        """With its margin over what is elsewhere, where motors are above each other."""
+        place = () if self._mates is None else self._mates.place(found.motors)
+        if not place:
+            return found
+        elsewhere = [score for i, score in enumerate(one_best.tolist()) if i not in place]
+        apart = ~np.isin(pairs, place).any(axis=1)
+        two = (two_best[apart] - self.tuning.pair_min).tolist()
+        return replace(found, beside=found.improvement - max([*elsewhere, *two], default=0.0))
 
     def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:
         """Whether ``best`` finds any hypothesis."""
@@ -179,11 +201,15 @@ class Decision:
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
         if best is None and direct is None and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
-            return (state if state.quiet else DecisionState.start(len(eta))), []
+            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either)
+            return (state if state.quiet else quiet), []
         works = (eta, deviation.tolist(), driven.tolist())
-        new = DecisionState(failed=state.failed)
+        new = DecisionState(failed=state.failed, either=state.either)
         shown: list[float] = (driven if turned is None else turned).tolist()
-        events = self._sudden(state, new, time_s, best, direct, shown)
+        if best is not None and best.place and direct is None:
+            events = self._either(state, new, time_s, best, shown)
+        else:
+            events = self._sudden(state, new, time_s, best, direct, shown)
         events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -214,6 +240,36 @@ class Decision:
             return self._declare(new, time_s, best, best.confidence)
         new.candidate = best.motors
         return []
+
+    def _either(
+        self,
+        state: DecisionState,
+        new: DecisionState,
+        time_s: float,
+        best: Hypothesis,
+        shown: list[float],
+    ) -> list[Event]:
+        """One of two motors above each other: which of them is not told. Where one was believed lost already, both."""
+        o, place = self.tuning, best.place
+        lost = best.improvement >= o.improvement_min and best.explained >= o.explained_min
+        if not (lost and best.beside >= o.margin_min and sum(best.loss) >= o.loss_sudden):
+            return []
+        if max(shown[i] for i in place) < o.driven or (state.either and state.either != place):
+            return []
+        new.candidate, new.since_s = place, state.since_s if state.candidate == place else time_s
+        if time_s - new.since_s < o.confirm_ambiguous_s - 1e-9:
+            return []
+        new.candidate = ()
+        if not state.either:
+            new.either = place
+            return []
+        new.either = ()
+        both = replace(best, motors=place, loss=(1.0, 1.0))
+        return (
+            self._declare(new, time_s, both, best.confidence)
+            if self.failed_max - sum(state.failed.tolist()) > 1
+            else []
+        )
 
     @staticmethod
     def _declare(new: DecisionState, time_s: float, found: Hypothesis, confidence: float) -> list[Event]:

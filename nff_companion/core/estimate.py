@@ -52,6 +52,7 @@ class Estimate:
     lateral_m_s2: NDArray[np.float64]  # (2,) specific force along x and y, smoothed
     best: Hypothesis | None
     events: list[Event]
+    either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
     bend: float = 0.0  # of the thrust curve (core/curve.py)

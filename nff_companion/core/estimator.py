@@ -26,6 +26,7 @@ from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState,
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen
 from nff_companion.core.features import features
 from nff_companion.core.filters import lag_share
+from nff_companion.core.mates import HALF, Mates
 from nff_companion.core.onset import OnsetBank, OnsetState
 from nff_companion.core.residual import ResidualFilter
 from nff_companion.core.tuning import Tuning
@@ -62,7 +63,9 @@ class Estimator:
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
-        self._decision = Decision(vehicle.motors, vehicle.axes, o.decision)
+        mates = Mates(vehicle, o)
+        self._mates = mates if mates.any else None
+        self._decision = Decision(vehicle.motors, vehicle.axes, o.decision, self._mates)
 
     def start(
         self,
@@ -111,11 +114,18 @@ class Estimator:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-            turned = None if best is None else self._onset.worked(onset)
+            best, turned = self._placed(state, seen, best), None if best is None else self._onset.worked(onset)
             decision, events = self._decision.step(
-                decision, time_s, best, effectiveness, deviation, measurement.command, direct, turned
+                decision,
+                time_s,
+                best,
+                effectiveness,
+                deviation,
+                measurement.command,
+                direct,
+                turned,
             )
-        if any(event.declared for event in events):
+        if any(event.declared for event in events) or decision.either != state.decision.either:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
         suspicious_since_s = None
@@ -143,10 +153,14 @@ class Estimator:
             effectiveness=effectiveness,
             deviation=deviation,
         )
+        if decision.either:
+            effectiveness = effectiveness.copy()
+            effectiveness[list(decision.either)] = HALF
         estimate = Estimate(
             effectiveness=effectiveness,
             deviation=deviation,
             failed=decision.failed,
+            either=decision.either,
             raw=seen.balanced + seen.unbalanced + seen.turned + state.curve.bend * seen.bent,
             residual=seen.residual,
             disturbance=seen.unbalanced + seen.expectation.believed,
@@ -171,9 +185,10 @@ class Estimator:
         side_drag = self._filter.side_drag(filtered)
         matrix = self._filter.effectiveness_matrix(state.balance.matrix, side_drag, state.side_drag.share)
         thrust_left = filtered.thrust_shown
-        bent = self._none
-        if True in failed.tolist():
+        bent, either = self._none, state.decision.either
+        if True in failed.tolist() or either:
             thrust_left = np.where(failed, 0.0, thrust_left)
+            thrust_left[list(either)] *= HALF
             bent = self._curve.shown(matrix, thrust_left)
         lift_m_s2 = self._balance.lift_m_s2(thrust_left)
         unbalanced = state.balance.share * lift_m_s2
@@ -243,6 +258,17 @@ class Estimator:
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         best = self._decision.best(sums, failed, gamma)
         return best is not None, best, direct
+
+    def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
+        """With the two motors above each other that ``best`` is about, where it cannot be told which."""
+        place = () if self._mates is None or best is None else self._mates.place(best.motors)
+        if self._mates is None or best is None or not place:
+            return best
+        w, lateral = seen.filtered.thrust_shown, math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
+        doubtful = self._doubt * seen.effectiveness_matrix.dot(w - state.steady)
+        alone = len(best.motors) == 1
+        told = alone and self._mates.told_apart(best.motors[0], w, seen.residual, lateral, doubtful)
+        return best if told else replace(best, place=place)
 
     def _learns_alike(self, state: EstimatorState, time_s: float) -> bool:
         """Whether the speed of learning is the same however sure the best hypothesis is."""

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from nff_companion.companion_state import Orders
+from nff_companion.condition import Mode
+from nff_companion.core import vehicle as vehicles
+from nff_companion.core.tuning import Tuning
+from sitl import airframe
+from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.campaign.fly import fly
 from sitl.trials.campaign.run import run
 from sitl.trials.campaign.scenario import Event, Scenario, batches
 from sitl.trials.campaign.store import Store
+from sitl.trials.virtual import TrialOptions, VirtualFlight
 
 
 def test_a_flight_is_the_same_alone_and_beside_others() -> None:
@@ -47,3 +56,43 @@ def test_what_is_no_fault_happens_and_is_not_declared(event: Event) -> None:
     for row, calm in zip(moved, others, strict=True):
         assert (row["seed"], row["at_s"]) == (calm["seed"], calm["at_s"])
         assert row["off_m"] != calm["off_m"]
+
+
+@pytest.mark.parametrize(("flight", "arm"), [(14, [3, 8]), (22, [2, 5])])
+def test_of_two_motors_above_each_other_neither_is_named_wrongly_in_fast_flight(flight: int, arm: list[int]) -> None:
+    """Their yaw torque was less than what side drag does: motor 8 was named for 3, 2 and 5 for 2, and both crashed,
+    which fly on when left alone."""
+    scenario = Scenario(
+        name="t",
+        flights=48,
+        airframes=("coax-x8", "octo-x"),
+        level="estimated",
+        manoeuvres=("forward",),
+        fly_on_s=3.0,
+    )
+    (row,) = fly(scenario, (flight,))
+    assert row["motors"][0] in arm
+    assert row["wrong"] == [], row
+    assert row["survived"], row
+    assert row["either"] == arm, row
+    assert row["delay_s"] < 0.15, row
+    assert row["says"] == f"reallocated: motor {arm[0]} or {arm[1]} lost", row
+
+
+def test_the_operators_word_for_one_of_the_two_is_for_both() -> None:
+    tuning = Tuning()
+    never_told = msgspec.structs.replace(tuning, decision=msgspec.structs.replace(tuning.decision, mates_sure=10.0))
+    plant = airframe.load(vehicles.path_of("coax-x8"))
+    fleet = Fleet(plant, FleetOptions(seeds=[1], height_m=10.0), [Fault(vehicle=0, motor=3, start_s=2.0, until_s=3.0)])
+    flight = VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE, tuning=never_told)}, airframe="coax-x8")
+    (companion,) = flight.companions
+    while fleet.time_s < 3.5:
+        flight.step()
+    assert companion.output.either == (3, 8)
+    assert companion.output.plan is not None
+    companion.order(Orders(lift=(3,)))
+    while fleet.time_s < 4.5:
+        flight.step()
+    assert not companion.output.either
+    assert companion.output.plan is None
+    assert companion.events == []

@@ -21,6 +21,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
     flown: dict[str, Any] = {
         "level": "calibrated",
         "named": list(case.motors),
+        "either": [],
         "delay_s": 0.07,
         "wrong": [],
         "wrong_s": None,

@@ -68,6 +68,16 @@ def test_a_partial_loss_that_is_told_by_declaration_is_confirmed_by_one() -> Non
     assert held == [Source.DECLARATION]
 
 
+def test_one_of_two_motors_above_each_other_is_said_as_such(octo: Vehicle, plan: Plan) -> None:
+    both = read_only(np.isin(np.arange(8), (2, 7)))
+    output, condition = wanting(degraded=both, either=(3, 8), plan=plan), holding(Source.MATRIX)
+    said = verdict(output, condition, Mode.ALLOCATE, FLOWN, None)
+    assert said.reason in (Reason.EITHER, Reason.EITHER_NO_YAW)
+    assert said.text.startswith("reallocated: motor 3 or 8 lost")
+    moment = Moment(output, condition, Mode.ALLOCATE, said, None)
+    assert Reporter(octo, None, 1).document(moment, 0.0, [])["either"] == [3, 8]
+
+
 def test_what_is_wanted_and_not_confirmed_is_said_after_its_time_and_never_claimed(plan: Plan) -> None:
     output, waiting = wanting(failed=THIRD, plan=plan), Confirmation()
     for condition, reasons in (

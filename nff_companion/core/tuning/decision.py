@@ -105,6 +105,16 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     confirm_ambiguous_s: Annotated[
         float, span(0.0, 1.0, "s", "a pair must lead for so long: it has more look-alikes")
     ] = 0.015
+    mates_alike: Annotated[
+        float,
+        span(
+            0.9, 1.0, "", "cosine of what two motors do to thrust, roll, pitch, from which they are at the same place"
+        ),
+    ] = 0.995
+    mates_sure: Annotated[
+        float,
+        span(0.5, 10.0, "deviations", "of yaw, by which one of two motors above each other is told from the other"),
+    ] = 1.7
     failed_max: Annotated[
         int, span(1, 6, "motors", "declared at once; more is a fault of the model or of the telemetry")
     ] = 4

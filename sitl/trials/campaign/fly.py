@@ -51,7 +51,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         record = _flown(flight, both)
     rows = []
     for k, case in enumerate(cases):
-        seen = _seen(case, flight.companions[k], record.partly_s[k])
+        seen = _seen(case, flight.companions[k], record.partly_s[k], record.either[k])
         rows.append(case.row() | {"level": scenario.level} | seen | record.row(k, len(cases) + k))
     return rows
 
@@ -82,6 +82,7 @@ class Record:
         self._tilt_rad, self._off_m, self._low_m = np.zeros(n), np.zeros(n), np.zeros(n)
         self.crashed = np.zeros(n, bool)
         self.partly_s: list[float | None] = [None] * n  # when a partial loss was allocated around first
+        self.either: list[tuple[float, tuple[int, ...]]] = [(math.inf, ())] * n  # one of two motors, from when on
 
     def note(self, flight: VirtualFlight) -> None:
         """After a cycle."""
@@ -97,6 +98,11 @@ class Record:
         ):
             np.maximum(value, np.where(up, now, 0.0), out=value)
         for k, companion in enumerate(flight.companions):
+            either = companion.output.either
+            if either and not self.either[k][1] and flies[k]:
+                self.either[k] = fleet.time_s, either
+            if either:
+                continue
             if self.partly_s[k] is None and flies[k] and _partly(companion.output.degraded):
                 self.partly_s[k] = fleet.time_s
 
@@ -126,16 +132,26 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
     return record
 
 
-def _seen(case: Case, companion: TrialCompanion, partly_s: float | None) -> dict[str, Any]:
-    """What the companion said of it. ``delay_s``: from the failure until all motors that fail are named; ``false``:
-    motors that work, declared; ``changes``: declarations and lifts."""
+def _seen(
+    case: Case, companion: TrialCompanion, partly_s: float | None, either: tuple[float, tuple[int, ...]]
+) -> dict[str, Any]:
+    """What the companion said of it. ``delay_s``: from the failure until all motors that fail are named, by themselves
+    or as one of two above each other (``either``); ``wrong``: motors that work, declared; ``changes``: declarations and
+    lifts."""
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
     declared = [(time_s, event.motor) for time_s, event in events if event.declared]
     right = {motor: time_s for time_s, motor in reversed(declared) if motor in case.motors and time_s >= case.at_s}
     wrong = sorted({motor for time_s, motor in declared if motor not in case.motors or time_s < case.at_s})
+    either_s, one_of = either
+    if set(one_of) & set(case.motors) and either_s >= case.at_s:
+        for motor in set(one_of) & set(case.motors):
+            right[motor] = min(right.get(motor, math.inf), either_s)
+    elif one_of:
+        wrong = sorted({*wrong, *one_of})
     whole = set(case.motors) <= set(right)
     return {
         "named": sorted(right),
+        "either": list(one_of),
         "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,
         "wrong": wrong,
         "wrong_s": next((round(time_s, 3) for time_s, motor in declared if motor in wrong), None),

@@ -32,6 +32,7 @@ _TYPES = {
     "seed": "int64",
     "level": "string",
     "named": "list<int64>",
+    "either": "list<int64>",
     "delay_s": "double",
     "wrong": "list<int64>",
     "wrong_s": "double",

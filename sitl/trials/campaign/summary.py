@@ -38,6 +38,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "wrong_per_hour_at_most": round(rate_at_most(wrong, hours), 4),
         "missed": missed,
         "missed_at_most": round(at_most(missed, len(failing)), 6) if failing else None,
+        "either": sum(bool(row["either"]) for row in rows),  # named as one of two motors above each other
         "partly": sum(row["partly_s"] is not None for row in rows),
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
         "hours": round(hours, 3),
