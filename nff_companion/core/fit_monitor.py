@@ -30,7 +30,7 @@ from nff_companion.core.fit import NOTHING, TURNS, Factor, Fit, FitVerdict, Seen
 from nff_companion.core.motor_order import orders
 from nff_companion.core.residual import ResidualState
 from nff_companion.core.tuning import FitTuning
-from nff_companion.core.vehicle import THRUST, Vehicle
+from nff_companion.core.vehicle import PITCH, ROLL, THRUST, Vehicle
 
 _COLUMNS = (*TURNS, "roll rate", "pitch rate", "yaw rate", "up")  # of what is gathered, before the m thrusts
 _AXES, _UP, _HEAD = len(TURNS), _COLUMNS.index("up"), len(_COLUMNS)
@@ -161,17 +161,17 @@ class FitMonitor:
 
     def _gains(self, seen: Seen) -> NDArray[np.float64] | None:
         """(n,): motors that lift more than the file says turn as much more; that is believed as much as files are
-        right, what was seen of an axis as much as its ends agree."""
+        right, what was seen of roll and pitch as much as its ends agree. In fast flight side drag looks like yaw."""
         if seen.thrust is None:
             return None
-        o, gains, lifted = self._tuning, np.ones(1 + _AXES), math.log(seen.thrust.middle)
-        for axis, (factor, deviation) in enumerate(zip(seen.turns, o.gain_deviation, strict=True)):
-            beside = 0.0
+        o, gains, lifted = self._tuning, np.full(1 + _AXES, seen.thrust.middle), math.log(seen.thrust.middle)
+        gains[THRUST] = 1.0
+        most, prior = o.gain_deviations_max * o.gain_deviation, o.gain_deviation**2
+        for axis, factor in zip((ROLL, PITCH), seen.turns[:2], strict=True):
             if factor is not None:
                 noise = math.hypot(0.5 * math.log(factor.high / factor.low), o.gain_noise)
-                beside = (math.log(factor.middle) - lifted) * deviation**2 / (deviation**2 + noise**2)
-            most = o.gain_deviations_max * deviation
-            gains[1 + axis] = math.exp(lifted + min(max(beside, -most), most))
+                beside = (math.log(factor.middle) - lifted) * prior / (prior + noise**2)
+                gains[axis] = math.exp(lifted + min(max(beside, -most), most))
         return gains
 
     def seen(self, state: FitState) -> Seen:

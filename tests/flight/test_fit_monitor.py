@@ -135,12 +135,14 @@ def test_gains_of_the_rows_are_what_turns_over_the_file_between_file_and_flight(
     assert thrust == 1.0  # what lifts is learnt elsewhere (core/balance.py)
     assert 0.8 < roll < 0.9, "nearer to the file's than what was seen: files are right to 15 %"
     assert pitch == pytest.approx(1.0, abs=0.05)
-    assert yaw == pytest.approx(1.5, abs=0.12)
+    assert yaw == pytest.approx(1.0, abs=0.05), "in fast flight the rotors' side drag looks like it"
     far = watched(stiffer(model, np.array([4.0, 1.0, 1.0])), flight).gains
     assert far is not None
-    assert far[1] == pytest.approx(math.exp(tuning.gain_deviations_max * tuning.gain_deviation[0]))
-    calm = watched(model, shown(model, rng, seconds=2.0))
-    assert calm.gains is None, "nothing is known so soon"
+    assert far[1] == pytest.approx(math.exp(tuning.gain_deviations_max * tuning.gain_deviation), rel=0.02)
+    lifted = watched(heavier(model, 1.2), flight).gains
+    assert lifted is not None
+    np.testing.assert_allclose(lifted[1:], [1.0, 1.0, 1.2], atol=0.12)
+    assert watched(model, shown(model, rng, seconds=2.0)).gains is None, "nothing is known so soon"
 
 
 def test_without_a_turn_about_yaw_nothing_is_known_of_the_spins(rng: np.random.Generator) -> None:

@@ -10,9 +10,7 @@ from typing import Annotated
 
 import msgspec
 
-from nff_companion.core.tuning.span import about, span
-
-Deviation = Annotated[float, msgspec.Meta(ge=0.001, le=2.0)]
+from nff_companion.core.tuning.span import span
 
 
 class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,12 +57,10 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         float, span(0.1, 0.99, "", "share of an axis' motion that the commands explain, for its gain to be known")
     ] = 0.6
     gain_deviation: Annotated[
-        tuple[Deviation, Deviation, Deviation],
-        about("", "of the logarithm of what a file makes of roll, pitch and yaw, beside what it makes of lift"),
-    ] = (0.15, 0.15, 0.35)
-    gain_noise: Annotated[
-        float, span(0.001, 1.0, "", "of the logarithm of a factor seen, whose ends agree: wind bends yaw's by 0.08")
-    ] = 0.06
+        float,
+        span(0.001, 2.0, "", "of the logarithm of what a file makes of roll and pitch, beside what it makes of lift"),
+    ] = 0.15
+    gain_noise: Annotated[float, span(0.001, 1.0, "", "of the logarithm of a factor seen, whose ends agree")] = 0.06
     gain_deviations_max: Annotated[
         float, span(0.5, 10.0, "deviations", "of each, at most: what is beyond is not the file's error")
     ] = 2.0
