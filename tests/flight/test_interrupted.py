@@ -17,7 +17,7 @@ from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.virtual import TrialOptions, VirtualFlight
 from sitl.uncertainty import LEVELS
 
-SEEDS = (4, 5, 6)
+SEEDS = (4, 6)
 LOST = (None, 1, 5)  # motor, for each seed
 FAIL_S, SILENT_S, BACK_S, END_S = 3.0, 5.0, 5.6, 9.0
 
