@@ -193,7 +193,8 @@ class Companion:
                 failed[[motor - 1 for motor in orders.adopt]] = True
             failed[[motor - 1 for motor in orders.lift]] = False
             failed.flags.writeable = False
-            state = _lifted(state, orders.lift)
+            if orders.adopt is not None or {motor - 1 for motor in orders.lift} & set(state.either):
+                state = replace(state, either=())  # the word for one of the two is for both
         if orders.mode is None:
             return replace(state, failed=failed)
         return replace(state, failed=failed, mode=orders.mode, loop=OverrideState(), blind=None)
@@ -213,13 +214,13 @@ class Companion:
         good_since = time_s if state.good_since_s is None else state.good_since_s
         if not phase.flying or gap is None or condition.samples is not None:
             state = replace(state, phase=phase, last_s=time_s, good_since_s=good_since)
-            if phase.landed_and_disarmed or (not sample.armed and state.failed.any()):
+            if phase.landed_and_disarmed or (not sample.armed and (state.failed.any() or state.either)):
                 state = self._forgotten(state)
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
             why = first(why, condition.samples) or why
             fault = state.fault and phase.flying
             fit = self._fit.paused(state.fit)
-            if phase.aloft_since_s is not None and not state.failed.any():
+            if phase.aloft_since_s is not None and not state.failed.any() and not state.either:
                 fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
             state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
             return self._said(state, condition, time_s)
@@ -249,6 +250,7 @@ class Companion:
             fit=fit,
             estimate=estimating,
             failed=failed,
+            either=estimate.either,
             planning=planning,
             knowledge=self._known(estimate),
             adapted=adapted,
@@ -277,6 +279,7 @@ class Companion:
             allocation_norm=plan.norm if plan is not None else 0.0,
             gains=state.fit.gains,
             failed=state.failed,
+            either=state.either,
             tracking_error=np.array(error) if self._composite and error and state.blind is None else None,
         )
         return self._estimator.step(before, measurement)
@@ -294,7 +297,8 @@ class Companion:
     ) -> FitState:
         """What the sample says of the airframe file. Outputs of our own say only what the file says itself, and once a
         motor is declared the vehicle is no longer the one that the file describes."""
-        if override is not None or True in state.failed.tolist() or not isinstance(estimating, EstimatorState):
+        broken = True in state.failed.tolist() or state.either
+        if override is not None or broken or not isinstance(estimating, EstimatorState):
             return self._fit.paused(state.fit)
         return self._fit.step(state.fit, estimating.residual)
 
@@ -302,10 +306,11 @@ class Companion:
     def _held_back(state: CompanionState, estimate: Estimate, time_s: float) -> tuple[CompanionState, Estimate]:
         """Nothing is declared by a file that may be another vehicle's; what would have been is remembered."""
         motors = tuple(sorted(event.motor for event in estimate.events if event.declared))
+        motors = motors or tuple(motor + 1 for motor in estimate.either)
         if motors:
             state = replace(state, held_back=(motors, time_s))
-        if estimate.events or estimate.failed is not state.failed:
-            estimate = dataclasses.replace(estimate, failed=state.failed, events=[])
+        if estimate.events or estimate.either or estimate.failed is not state.failed:
+            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), events=[])
         return state, estimate
 
     def _known(self, estimate: Estimate) -> Knowledge:
@@ -344,6 +349,7 @@ class Companion:
             confirmed=state.confirmed or state.fit.proven,
             held_back=((), -math.inf),
             failed=read_only(np.zeros(self.vehicle.motors, bool)),
+            either=(),
             planning=self._planner.forgotten(state.planning),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
@@ -379,13 +385,3 @@ def _motion(sample: Sample) -> Motion | None:
     if velocity is None or quaternion is None or not sample.moves_plausibly:
         return None
     return Motion(velocity, quaternion)
-
-
-def _lifted(state: CompanionState, motors: tuple[int, ...]) -> CompanionState:
-    """Of two motors (from 1) of which one was believed lost, the operator's word for one is for both."""
-    estimate = state.estimate
-    if not isinstance(estimate, EstimatorState) or not {motor - 1 for motor in motors} & set(estimate.decision.either):
-        return state
-    return replace(
-        state, estimate=dataclasses.replace(estimate, decision=dataclasses.replace(estimate.decision, either=()))
-    )

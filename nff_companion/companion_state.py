@@ -74,6 +74,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mode: Mode  # asked for
     failed: NDArray[np.bool_]  # (m,) bool, read-only
     last: Output
+    either: tuple[int, ...] = ()  # indices of two motors above each other, of which one is believed lost
     phase: FlightPhaseState = msgspec.field(default_factory=FlightPhaseState)
     estimate: EstimatorState | None = None
     planning: PlannerState
@@ -107,7 +108,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def whole(self) -> bool:
         """In flight, and no failure is declared, allocated around, held back or being weighed. What seems to fail by a
         file that the motion contradicts does not count: it is the file that is wrong."""
-        if self.estimate is None or self.trouble is not None or True in self.failed.tolist():
+        if self.estimate is None or self.trouble is not None or True in self.failed.tolist() or self.either:
             return False
         if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
             return True

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from nff_companion.companion_state import CompanionState, Output
 from nff_companion.condition import Condition, Mode, Reason, Scalar, Statement, first, read_only
 from nff_companion.core.estimate import Estimate
+from nff_companion.core.mates import HALF
 
 
 def acting(state: CompanionState, condition: Condition) -> Mode:
@@ -75,8 +76,10 @@ class Outcome:
             effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
         else:
             effectiveness, deviation = self._ones, self._ones
-            if failed.any():
-                effectiveness = read_only(np.where(failed, 0.0, 1.0))
+            if failed.any() or state.either:
+                believed = np.where(failed, 0.0, 1.0)
+                believed[list(state.either)] = HALF
+                effectiveness = read_only(believed)
         return Output(
             time_s=state.last.time_s if time_s is None else time_s,
             mode=mode,
@@ -93,7 +96,7 @@ class Outcome:
             unallocated=self._none if planning.plan is None else planning.plan.unallocated,
             rejected=planning.rejected,
             bad_samples=state.bad_samples,
-            either=() if estimate is None else tuple(motor + 1 for motor in estimate.either),
+            either=tuple(motor + 1 for motor in state.either),
             fit=state.fit.fit,
             trusted=state.trusted,
             notes=notes,

@@ -79,6 +79,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     allocation_norm: float = 0.0  # sigma(A) of the matrix in force; 0: none
     gains: NDArray[np.float64] | None = None  # (n,) how many times the file's its rows are; None: as the file says
     failed: NDArray[np.bool_] | None = None  # (m,) bool: declared; None: as the last step left it
+    either: tuple[int, ...] = ()  # indices of two motors above each other, of which one is believed lost
     # (n,) s, actual - reference, where the law closes the loop; m/s, rad/s
     tracking_error: NDArray[np.float64] | None = None
 

@@ -64,7 +64,7 @@ class Estimator:
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
         mates = Mates(vehicle, o)
-        self._mates = mates if mates.any else None
+        self._mates = mates if mates.any and not judged else None  # a log's verdict names a motor
         self._decision = Decision(vehicle.motors, vehicle.axes, o.decision, self._mates)
 
     def start(
@@ -102,6 +102,8 @@ class Estimator:
         time_s, failed = measurement.time_s, measurement.failed
         if failed is not None and state.decision.failed is not failed:
             state = replace(state, decision=replace(state.decision, failed=failed))
+        if state.decision.either != measurement.either:
+            state = replace(state, decision=replace(state.decision, either=measurement.either))
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         best = direct = None
@@ -312,7 +314,7 @@ class Estimator:
         """What flight shows of lift, centre of mass and gains. At the beginning of a flight only a motor that is about
         to be declared stops it: what was there all the time is the file's error sooner than a failure."""
         time_s, balance = measurement.time_s, state.balance
-        if not self._balance.due(balance, time_s) or True in decision.failed.tolist():
+        if not self._balance.due(balance, time_s) or True in decision.failed.tolist() or decision.either:
             return balance
         settling = time_s - state.started_s < self.tuning.estimator.learn_fast_s
         if decision.candidate if settling else rate != 1.0:
