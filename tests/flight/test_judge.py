@@ -87,11 +87,11 @@ def test_a_motion_that_begins_between_two_outputs_is_no_loss(begin_s: float, rng
     assert fast.verdict == "no_fault"
     seldom = flown(QUAD, rng, sway=rocking, between_s=(np.inf, np.inf), logged_every=20)
     assert (seldom.verdict, seldom.faults) == ("not_judged", [])
-    if begin_s == 0.0 and "would have been declared" not in seldom.reason:  # by its noise, nothing seemed lost
+    if begin_s == 0.0 and "too few to see" not in seldom.reason:  # by its noise, nothing seemed lost until late
         assert "RCOU at 10 Hz is too seldom for this motion: what they leave unexplained" in seldom.reason
         return
-    assert "would have been declared" in seldom.reason
     assert ("too few to see" if begin_s == 0.0 else "seemed lost at 8.0") in seldom.reason
+    assert "would have been declared" in seldom.reason
 
 
 @pytest.mark.parametrize("left", [0.0, 0.3])
