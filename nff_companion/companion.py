@@ -297,8 +297,9 @@ class Companion:
     ) -> FitState:
         """What the sample says of the airframe file. Outputs of our own say only what the file says itself, and once a
         motor is declared the vehicle is no longer the one that the file describes."""
-        broken = True in state.failed.tolist() or state.either
-        if override is not None or broken or not isinstance(estimating, EstimatorState):
+        if override is not None or not isinstance(estimating, EstimatorState):
+            return self._fit.paused(state.fit)
+        if True in state.failed.tolist() or state.either or estimating.decision.among:
             return self._fit.paused(state.fit)
         return self._fit.step(state.fit, estimating.residual)
 
@@ -309,8 +310,8 @@ class Companion:
         motors = motors or tuple(motor + 1 for motor in estimate.either)
         if motors:
             state = replace(state, held_back=(motors, time_s))
-        if estimate.events or estimate.either or estimate.failed is not state.failed:
-            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), events=[])
+        if estimate.events or estimate.either or estimate.among or estimate.failed is not state.failed:
+            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), among=(), events=[])
         return state, estimate
 
     def _known(self, estimate: Estimate) -> Knowledge:

@@ -80,6 +80,7 @@ class Reason(Enum):
     STOPPED = (62, "motors {} stopped, no matrix in force")
     EITHER = (63, "reallocated: motor {} lost")
     EITHER_NO_YAW = (63, "reallocated: motor {} lost, yaw given up")
+    AMONG = (63, "motors {} lost, not told which: LAND")
     PARTIAL = (63, "reallocated a partial loss")
     PARTIAL_NO_YAW = (63, "reallocated a partial loss, yaw given up")
     HEALTHY = (64, "all motors healthy")

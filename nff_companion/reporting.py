@@ -210,6 +210,7 @@ class Reporter:
             "motors": self._motors(output),
             "failed": numbers(output.failed),
             "either": list(output.either),
+            "among": [list(motors) for motors in output.among],
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],

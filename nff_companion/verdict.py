@@ -64,13 +64,16 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
         return Statement(Reason.NOT_WATCHING, parts.name)
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
+    among = Statement(Reason.AMONG, " or ".join("+".join(map(str, motors)) for motors in output.among))
     if not _anything(output):
-        return Statement(Reason.HEALTHY)
+        return among if output.among else Statement(Reason.HEALTHY)
     motors = _listed(output.failed if output.failed.any() else output.degraded)
     if unconfirmed_s is not None:
         return Statement(Reason.TELLING, motors)
     if condition.takes_matrix and output.plan is None:
         return Statement(Reason.STOPPED, motors)
+    if output.among:
+        return among
     no_yaw = condition.in_force.yaw_released or (output.plan is not None and bool(output.plan.released))
     if output.failed.any():
         return Statement(Reason.REALLOCATED_NO_YAW if no_yaw else Reason.REALLOCATED, motors)

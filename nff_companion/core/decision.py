@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
+from nff_companion.core.ambiguity import Among, followed, needed
 from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import DecisionTuning
@@ -31,6 +32,8 @@ class Hypothesis:
     age_s: float
     beside: float = 0.0  # margin over the next that is not of the same place (core/mates.py)
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
+    # This one and those that explain as well, the best first: sets of motors with their losses. Empty: it leads.
+    alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
 
     @property
     def confidence(self) -> float:
@@ -55,6 +58,7 @@ class DecisionState:
 
     failed: NDArray[np.bool_]  # (m,) bool, latched
     either: tuple[int, ...] = ()  # one of these two, above each other, has failed; latched
+    among: Among | None = None  # sets of motors of which one has failed
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
@@ -68,7 +72,7 @@ class DecisionState:
     @property
     def quiet(self) -> bool:
         """Nothing is being confirmed."""
-        return not (self.candidate or self.gradual_since_s or self.healthy_since_s)
+        return not (self.candidate or self.gradual_since_s or self.healthy_since_s or self.among)
 
 
 class Decision:
@@ -98,12 +102,31 @@ class Decision:
         if gain > o.pair_min:
             others = _beside(two_best, best)
             found = self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
+            found = self._with_alike(found, pairs, two, two_best)
             return self._of_place(found, pairs, two_best, one_best)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = _beside(one_best, first)
         found = self._describe((first,), one, first, sums, others, without)
         return self._of_place(found, pairs, two_best, one_best)
+
+    def _with_alike(
+        self,
+        found: Hypothesis,
+        pairs: NDArray[np.intp],
+        two: hypotheses.Scores,
+        two_best: NDArray[np.float64],
+    ) -> Hypothesis:
+        """With the pairs that explain as well as the one ``found``."""
+        least = found.improvement - needed(found.improvement, self.tuning)
+        if found.improvement < self.tuning.improvement_min or found.margin >= found.improvement - least:
+            return found
+        near = np.flatnonzero(two_best >= least)
+        near = near[np.argsort(-two_best[near])][: self.tuning.alike_max]
+        windows = two.improvement[:, near].argmax(axis=0)
+        losses = (-two.e[windows, near]).tolist()
+        sets = [tuple(motors) for motors in pairs[near].tolist()]
+        return replace(found, alike=tuple(zip(sets, map(tuple, losses), strict=True)))
 
     def _of_place(
         self,
@@ -200,7 +223,8 @@ class Decision:
         ``driven``."""
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
-        if best is None and direct is None and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
+        told = best is None and direct is None and state.among is None
+        if told and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
             quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either)
             return (state if state.quiet else quiet), []
         works = (eta, deviation.tolist(), driven.tolist())
@@ -210,6 +234,7 @@ class Decision:
             events = self._either(state, new, time_s, best, shown)
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
+        new.among = None if events else self._among(state, time_s, best)
         events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -270,6 +295,21 @@ class Decision:
             if self.failed_max - sum(state.failed.tolist()) > 1
             else []
         )
+
+    def _among(self, state: DecisionState, time_s: float, best: Hypothesis | None) -> Among | None:
+        """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it
+        lead."""
+        o, alike = self.tuning, () if best is None else best.alike
+        lost = best is not None and best.explained >= o.explained_min
+        room = self.failed_max - sum(state.failed.tolist())
+        if not lost or not any(len(motors) <= room and self._large(loss) for motors, loss in alike):
+            return followed(state.among, time_s, (), o)
+        return followed(state.among, time_s, tuple(motors for motors, _ in alike), o)
+
+    def _large(self, loss: tuple[float, ...]) -> bool:
+        """Whether so much of two motors is lost as declares them."""
+        o = self.tuning
+        return min(loss) >= o.loss_sudden and sum(loss) >= o.loss_settled * len(loss)
 
     @staticmethod
     def _declare(new: DecisionState, time_s: float, found: Hypothesis, confidence: float) -> list[Event]:
@@ -335,7 +375,7 @@ class Decision:
         settled = best.age_s > o.settled_s or len(best.motors) > 1
         return (
             best.improvement >= o.improvement_min
-            and best.margin >= o.margin_min
+            and best.margin >= needed(best.improvement, o)
             and best.explained >= o.explained_min
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)

@@ -31,6 +31,8 @@ class EstimatorState:
     steady: NDArray[np.float64]  # (m,) w, slow
     decision: DecisionState
     started_s: float
+    fast_until_s: float  # the disturbance is learnt quickly
+    quiet_since_s: float | None  # y has been small, in that time
     suspicious_since_s: float | None
     solved_s: float
     effectiveness: NDArray[np.float64]
@@ -53,6 +55,7 @@ class Estimate:
     best: Hypothesis | None
     events: list[Event]
     either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
+    among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
     bend: float = 0.0  # of the thrust curve (core/curve.py)

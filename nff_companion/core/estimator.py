@@ -91,6 +91,8 @@ class Estimator:
             steady=command.copy(),
             decision=decision,
             started_s=time_s,
+            fast_until_s=time_s + self.tuning.estimator.learn_fast_s,
+            quiet_since_s=None,
             suspicious_since_s=None,
             solved_s=-math.inf,
             effectiveness=np.ones(m),
@@ -133,11 +135,15 @@ class Estimator:
         suspicious_since_s = None
         if suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
-        rate = self._learning_rate(time_s, state.started_s, suspicious_since_s, best)
+        rate = self._learning_rate(time_s, state.fast_until_s, suspicious_since_s, best)
+        fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
+        among = decision.among if decision.among is not None and decision.among.told else None
+        if among is not None:
+            rate = 0.0  # what was learnt beside one of the sets would speak for it
         disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
         balance = self._balanced(state, seen, measurement, rate, decision)
         curve = state.curve
-        if rate == 1.0 and seen.bent is not self._none:
+        if rate == 1.0 and seen.bent is not self._none and among is None:
             curve = self._curve.learn(curve, time_s, seen.residual, seen.bent, seen.variance)
         new = EstimatorState(
             residual=seen.filtered,
@@ -150,6 +156,8 @@ class Estimator:
             steady=steady,
             decision=decision,
             started_s=state.started_s,
+            fast_until_s=fast_until_s,
+            quiet_since_s=quiet_since_s,
             suspicious_since_s=suspicious_since_s,
             solved_s=solved_s,
             effectiveness=effectiveness,
@@ -163,6 +171,7 @@ class Estimator:
             deviation=deviation,
             failed=decision.failed,
             either=decision.either,
+            among=() if among is None else among.sets,
             raw=seen.balanced + seen.unbalanced + seen.turned + state.curve.bend * seen.bent,
             residual=seen.residual,
             disturbance=seen.unbalanced + seen.expectation.believed,
@@ -314,9 +323,14 @@ class Estimator:
         """What flight shows of lift, centre of mass and gains. At the beginning of a flight only a motor that is about
         to be declared stops it: what was there all the time is the file's error sooner than a failure."""
         time_s, balance = measurement.time_s, state.balance
-        if not self._balance.due(balance, time_s) or True in decision.failed.tolist() or decision.either:
+        if (
+            not self._balance.due(balance, time_s)
+            or True in decision.failed.tolist()
+            or decision.either
+            or decision.among
+        ):
             return balance
-        settling = time_s - state.started_s < self.tuning.estimator.learn_fast_s
+        settling = time_s < state.fast_until_s
         if decision.candidate if settling else rate != 1.0:
             return balance
         gains = None if settling else measurement.gains
@@ -335,8 +349,20 @@ class Estimator:
         each = zip(eta, declared, lost, strict=True)
         return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
+    def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None]:
+        """Until when the start of a flight is learnt quickly, and since when y has been small: once it is, what comes
+        quickly is no error of the file, and must not be learnt away before it is weighed."""
+        if time_s >= state.fast_until_s:
+            return state.fast_until_s, None
+        largest = max((seen.residual * seen.residual / seen.variance).tolist())
+        if largest > self.tuning.estimator.quiet**2:
+            return state.fast_until_s, None
+        since_s = time_s if state.quiet_since_s is None else state.quiet_since_s
+        quiet = time_s - since_s >= self.tuning.estimator.quiet_s
+        return (time_s, None) if quiet else (state.fast_until_s, since_s)
+
     def _learning_rate(
-        self, time_s: float, started_s: float, suspicious_since_s: float | None, best: Hypothesis | None
+        self, time_s: float, fast_until_s: float, suspicious_since_s: float | None, best: Hypothesis | None
     ) -> float:
         """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
         o = self.tuning.estimator
@@ -344,7 +370,7 @@ class Estimator:
             sure = best is not None and best.explained > o.sure_explained
             longest = o.freeze_sure_s if sure else o.freeze_max_s
             return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
-        return o.learn_fast_rate if time_s - started_s < o.learn_fast_s else 1.0
+        return o.learn_fast_rate if time_s < fast_until_s else 1.0
 
 
 def _shut(estimate: Estimate) -> None:

@@ -1,6 +1,12 @@
-"""Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense. Pure."""
+"""Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense. Pure.
+
+What stands, or tips over on its legs, does not climb level: a vehicle that does is off the ground long before it is
+high, and there a failure is weighed at once.
+"""
 
 from __future__ import annotations
+
+import math
 
 import msgspec
 import numpy as np
@@ -21,6 +27,7 @@ class FlightPhaseState(msgspec.Struct, frozen=True, kw_only=True):
     over: int = 0  # samples in a row beyond what the motors can give
     ground_m: float | None = None
     pushing_since_s: float | None = None
+    climbing_since_s: float | None = None  # level, off the ground
     idle_since_s: float | None = None
     aloft_since_s: float | None = None  # in the air, on less thrust than would carry this airframe
 
@@ -31,6 +38,7 @@ class FlightPhase:
     def __init__(self, vehicle: Vehicle, tuning: FlightPhaseTuning | None = None) -> None:
         self._tuning, self._hover = tuning or FlightPhaseTuning(), vehicle.hover
         full = vehicle.full_thrust_n / vehicle.mass_kg
+        self._level = math.cos(math.radians(self._tuning.lifted_tilt_deg))
         self._impact_squared = (self._tuning.impact_share * full + self._tuning.impact_m_s2) ** 2
 
     def step(self, state: FlightPhaseState, sample: Sample, thrust: NDArray[np.float64]) -> FlightPhaseState:
@@ -41,6 +49,9 @@ class FlightPhase:
         o, time_s = self._tuning, sample.time_s
         share = float(thrust.sum()) / len(thrust) / self._hover
         pushing_since = None if share < o.thrust_share else _since(state.pushing_since_s, time_s)
+        climbing_since = None
+        if not state.flying and pushing_since is not None and self._climbs(sample, height, state.ground_m):
+            climbing_since = _since(state.climbing_since_s, time_s)
         idle_since = None if share > o.ended_share else _since(state.idle_since_s, time_s)
         hit, ground, flying = state.hit, state.ground_m, state.flying
         force = sample.specific_force_m_s2
@@ -52,6 +63,7 @@ class FlightPhase:
             flying = idle_since is None or time_s - idle_since < o.ended_after_s
         elif pushing_since is not None:
             flying = self._taken_off(sample, time_s - pushing_since, height, ground, hit=hit)
+            flying = flying or (not hit and climbing_since is not None and time_s - climbing_since >= o.lifted_after_s)
             hit = hit and not flying
         aloft_since = None
         if not flying and not hit and self._aloft(sample, share, ground):
@@ -68,6 +80,7 @@ class FlightPhase:
             over=over,
             ground_m=ground,
             pushing_since_s=pushing_since,
+            climbing_since_s=climbing_since,
             idle_since_s=idle_since,
             aloft_since_s=aloft_since,
         )
@@ -80,6 +93,16 @@ class FlightPhase:
         if sample.landed is not None or sample.position_m is None or ground_m is None:
             return sample.landed is False
         return -float(sample.position_m[2]) - ground_m > self._tuning.height_m
+
+    def _climbs(self, sample: Sample, height: float | None, ground: float | None) -> bool:
+        """Off the ground and rising from it, level: not tipping over a leg. (What the autopilot says of having landed
+        comes seldom: it may be a second old.)"""
+        o, velocity, q = self._tuning, sample.velocity_m_s, sample.quaternion
+        if height is None or ground is None or velocity is None or q is None or not sample.moves_plausibly:
+            return False
+        if height - ground < o.lifted_m or -float(velocity[2]) < o.lifted_climb_m_s:
+            return False
+        return 1.0 - 2.0 * float(q[1] * q[1] + q[2] * q[2]) > self._level
 
     def _taken_off(
         self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool

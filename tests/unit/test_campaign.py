@@ -22,6 +22,8 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "level": "calibrated",
         "named": list(case.motors),
         "either": [],
+        "among": [],
+        "among_s": None,
         "delay_s": 0.07,
         "wrong": [],
         "wrong_s": None,
@@ -109,14 +111,16 @@ def test_counts_and_their_intervals() -> None:
     rows[3] |= {"delay_s": None, "named": []}
     rows[7] |= {"wrong": [2], "wrong_s": 1.0}
     rows[9] |= {"survived": False}
+    rows[12] |= {"delay_s": None, "named": [], "among": [[7], list(rows[12]["motors"])], "among_s": 0.2}
     found = summary.document(rows)
     whole = found["whole"]
-    assert (whole["flights"], whole["right"], whole["wrong"], whole["missed"]) == (100, 98, 1, 1)
+    assert (whole["flights"], whole["right"], whole["wrong"], whole["missed"]) == (100, 97, 1, 2)
+    assert whole["sets"] == 1  # of the missed: not known which, and said so
     assert whole["lost_though_alone_survived"] == 1
     assert whole["delay_median_s"] == 0.07
     assert set(found["tables"]) == {"airframe", "manoeuvre", "fault"}
     assert sum(t["flights"] for t in found["tables"]["fault"].values()) == 100
-    assert [r["flight"] for r in found["exceptions"]] == [r for r in (3, 7, 9) if summary.exception(rows[r])]
+    assert [r["flight"] for r in found["exceptions"]] == [r for r in (3, 7, 9, 12) if summary.exception(rows[r])]
     # Three in a rate: none seen in n is at most 3 / n.
     assert summary.at_most(0, 1000) == pytest.approx(3.0 / 1000, rel=0.01)
     assert summary.rate_at_most(0, 100.0) == pytest.approx(0.03, rel=0.01)

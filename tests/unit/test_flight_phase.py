@@ -20,6 +20,8 @@ def sample(
     armed: bool = True,
     landed: bool | None = None,
     force: float = 9.81,
+    climb: float | None = None,
+    tilt_deg: float = 0.0,
 ) -> Sample:
     return Sample(
         time_s=time_s,
@@ -29,6 +31,8 @@ def sample(
         armed=armed,
         position_m=None if height is None else np.array([0.0, 0.0, -height]),
         landed=landed,
+        velocity_m_s=None if climb is None else np.array([0.0, 0.0, -climb]),
+        quaternion=np.array([np.cos(half := np.radians(0.5 * tilt_deg)), np.sin(half), 0.0, 0.0]),
     )
 
 
@@ -120,3 +124,36 @@ def test_a_vehicle_that_has_landed_on_a_roof_does_not_fly_on_little_thrust(octo:
             time_s += 0.005
             state = phase.step(state, sample(octo, time_s, height=5.0, landed=False), thrust)
         assert state.flying == (share == 1.0)
+
+
+def armed_at_zero(octo: Vehicle) -> FlightPhaseState:
+    phase = FlightPhase(octo)
+    return phase.step(FlightPhaseState(), sample(octo, -0.01, height=0.0, armed=False), np.zeros(8))
+
+
+def test_a_level_climb_is_flight_before_it_is_high(octo: Vehicle) -> None:
+    start = armed_at_zero(octo)
+    began = first_flying_s(octo, start=start, height=0.15, climb=0.6)
+    assert began is not None
+    assert began <= 0.1
+    # The autopilot's own word comes once a second: it may still be of the ground.
+    assert first_flying_s(octo, start=start, height=0.15, climb=0.6, landed=True) == began
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        {"height": 0.15, "climb": 0.05},  # set down on something, or a height that drifts
+        {"height": 0.05, "climb": 0.6},  # a velocity that is wrong, on the ground
+        {"height": 0.2, "climb": 0.6, "tilt_deg": 25.0},  # tips over on a leg
+    ],
+    ids=["does not climb", "not off the ground", "tips over"],
+)
+def test_what_stands_or_tips_over_does_not_fly_by_its_climb(octo: Vehicle, what: dict[str, float]) -> None:
+    assert first_flying_s(octo, start=armed_at_zero(octo), **what) == pytest.approx(2.0, abs=0.02)  # by its thrust
+
+
+def test_a_climb_from_unknown_ground_or_after_an_impact_is_not_believed_early(octo: Vehicle) -> None:
+    assert first_flying_s(octo, height=0.15, climb=0.6) == pytest.approx(2.0, abs=0.02)
+    hit = FlightPhaseState(ground_m=0.0, hit=True)
+    assert first_flying_s(octo, start=hit, height=0.15, climb=0.6) is None

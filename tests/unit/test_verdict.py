@@ -78,6 +78,17 @@ def test_one_of_two_motors_above_each_other_is_said_as_such(octo: Vehicle, plan:
     assert Reporter(octo, None, 1).document(moment, 0.0, [])["either"] == [3, 8]
 
 
+def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claimed(octo: Vehicle) -> None:
+    output = wanting(among=((1, 2), (7, 8)))
+    condition = holding(Source.STOCK)
+    said = verdict(output, condition, Mode.ALLOCATE, FLOWN, None)
+    assert (said.reason, said.text) == (Reason.AMONG, "motors 1+2 or 7+8 lost, not told which: LAND")
+    assert len(said.text.encode()) <= 50  # what a pilot's screen takes at once
+    assert verdict(output, condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
+    moment = Moment(output, condition, Mode.ALLOCATE, said, None)
+    assert Reporter(octo, None, 1).document(moment, 0.0, [])["among"] == [[1, 2], [7, 8]]
+
+
 def test_what_is_wanted_and_not_confirmed_is_said_after_its_time_and_never_claimed(plan: Plan) -> None:
     output, waiting = wanting(failed=THIRD, plan=plan), Confirmation()
     for condition, reasons in (

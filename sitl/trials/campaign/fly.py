@@ -51,7 +51,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         record = _flown(flight, both)
     rows = []
     for k, case in enumerate(cases):
-        seen = _seen(case, flight.companions[k], record.partly_s[k], record.either[k])
+        seen = _seen(case, flight.companions[k], record.partly_s[k], record.either[k], record.among[k])
         rows.append(case.row() | {"level": scenario.level} | seen | record.row(k, len(cases) + k))
     return rows
 
@@ -83,6 +83,7 @@ class Record:
         self.crashed = np.zeros(n, bool)
         self.partly_s: list[float | None] = [None] * n  # when a partial loss was allocated around first
         self.either: list[tuple[float, tuple[int, ...]]] = [(math.inf, ())] * n  # one of two motors, from when on
+        self.among: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(math.inf, ())] * n  # the last sets, and since
 
     def note(self, flight: VirtualFlight) -> None:
         """After a cycle."""
@@ -101,6 +102,9 @@ class Record:
             either = companion.output.either
             if either and not self.either[k][1] and flies[k]:
                 self.either[k] = fleet.time_s, either
+            among = companion.output.among
+            if among and flies[k]:
+                self.among[k] = min(self.among[k][0], fleet.time_s), among
             if either:
                 continue
             if self.partly_s[k] is None and flies[k] and _partly(companion.output.degraded):
@@ -133,9 +137,14 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
 
 
 def _seen(
-    case: Case, companion: TrialCompanion, partly_s: float | None, either: tuple[float, tuple[int, ...]]
+    case: Case,
+    companion: TrialCompanion,
+    partly_s: float | None,
+    either: tuple[float, tuple[int, ...]],
+    among: tuple[float, tuple[tuple[int, ...], ...]],
 ) -> dict[str, Any]:
-    """What the companion said of it. ``delay_s``: from the failure until all motors that fail are named, by themselves
+    """What the companion said of it. ``among``: the sets of motors that could not be told apart, as said last, and
+    ``among_s``, when the first was. ``delay_s``: from the failure until all motors that fail are named, by themselves
     or as one of two above each other (``either``); ``wrong``: motors that work, declared; ``changes``: declarations and
     lifts."""
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
@@ -152,6 +161,8 @@ def _seen(
     return {
         "named": sorted(right),
         "either": list(one_of),
+        "among": [list(motors) for motors in among[1]],
+        "among_s": None if not among[1] else round(among[0] - case.at_s, 4),
         "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,
         "wrong": wrong,
         "wrong_s": next((round(time_s, 3) for time_s, motor in declared if motor in wrong), None),

@@ -33,6 +33,8 @@ _TYPES = {
     "level": "string",
     "named": "list<int64>",
     "either": "list<int64>",
+    "among": "list<list<int64>>",
+    "among_s": "double",
     "delay_s": "double",
     "wrong": "list<int64>",
     "wrong_s": "double",
@@ -93,9 +95,13 @@ class Store:
 
     def _table(self, rows: list[dict[str, Any]]) -> Any:
         pa = self._arrow
-        plain = {name: pa.type_for_alias(kind) for name, kind in _TYPES.items() if not kind.startswith("list")}
-        fields = [(name, plain.get(name) or pa.list_(pa.int64())) for name in _TYPES]
-        return pa.Table.from_pylist(rows, pa.schema(fields))
+        return pa.Table.from_pylist(rows, pa.schema([(name, self._type(kind)) for name, kind in _TYPES.items()]))
+
+    def _type(self, kind: str) -> Any:
+        """Of a name of ``_TYPES``."""
+        pa = self._arrow
+        inner = kind.removeprefix("list<").removesuffix(">")
+        return pa.type_for_alias(kind) if inner == kind else pa.list_(self._type(inner))
 
     def _part(self, batch: tuple[int, ...]) -> Path:
         named = hashlib.sha256(json.dumps(batch).encode()).hexdigest()[:8]

@@ -29,7 +29,8 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
     failing = [row for row in rows if row["motors"]]
     hours = sum(row["until_s"] for row in rows) / 3600.0
     wrong = sum(bool(row["wrong"]) for row in rows)
-    missed = sum(row["delay_s"] is None for row in failing)
+    unnamed = [row for row in failing if row["delay_s"] is None]
+    missed, sets = len(unnamed), sum(in_sets(row) for row in unnamed)
     return {
         "flights": len(rows),
         "right": sum(not row["wrong"] and (row["delay_s"] is not None or not row["motors"]) for row in rows),
@@ -38,6 +39,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "wrong_per_hour_at_most": round(rate_at_most(wrong, hours), 4),
         "missed": missed,
         "missed_at_most": round(at_most(missed, len(failing)), 6) if failing else None,
+        "sets": sets,  # of the missed: the failure is among the sets of motors that were said
         "either": sum(bool(row["either"]) for row in rows),  # named as one of two motors above each other
         "partly": sum(row["partly_s"] is not None for row in rows),
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
@@ -72,12 +74,18 @@ def document(rows: list[Row]) -> dict[str, Any]:
     return {"whole": summarised(rows), "tables": tables, "exceptions": [row for row in rows if exception(row)]}
 
 
+def in_sets(row: Row) -> bool:
+    """Whether the motors that fail are one of the sets of which it was not known which it is."""
+    return list(row["motors"]) in [list(motors) for motors in row["among"]]
+
+
 def exception(row: Row) -> str:
     """What is not as it should be; empty: nothing."""
     if row["wrong"]:
         return f"declared {row['wrong']} at {row['wrong_s']} s"
     if row["fault"] == "total" and row["delay_s"] is None:
-        return "missed"
+        sets = " or ".join("+".join(map(str, motors)) for motors in row["among"])
+        return f"said as {sets}" if sets else "missed"
     if row["alone_survived"] and not row["survived"]:
         return "lost, though it flies on alone"
     if row["fault"] == "none" and row["partly_s"] is not None:
