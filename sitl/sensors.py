@@ -216,6 +216,16 @@ class Sensors:
         place = self._noise.take(steps), self._step - steps
         return Instruments(self._sensors, self._shakers, self._noise.buffer, self._past), place
 
+    def switch(self, vehicle: int, gyro_rad_s: NDArray[np.float64], accelerometer_m_s2: NDArray[np.float64]) -> None:
+        """Another inertial unit from now on: its biases (3,) are these beyond those of the one before."""
+        self._sensors["gyro_bias_rad_s"][vehicle] += gyro_rad_s
+        self._sensors["accelerometer_bias_m_s2"][vehicle] += accelerometer_m_s2
+
+    def mislead(self, vehicle: int, error: NDArray[np.float64]) -> None:
+        """The autopilot's estimate is off at once by ``error`` (9,): attitude rad (body), position m, velocity m/s; it
+        comes back within seconds."""
+        self._sensors["wander"][vehicle] += error
+
     def settle(self, state: PlantState, steps: int) -> None:
         """Sample a state at rest ``steps`` times, and estimate it."""
         instruments, place = self.take(steps)

@@ -46,6 +46,7 @@ class WireAutopilot:
         self._port = NffPort(fleet, vehicle)
         for message_id in () if rotor_speeds else _SPEEDS:
             self._makers.pop(message_id, None)
+        self._held: dict[int, tuple[float, int]] = {}  # streams that stumble: until when, and what share still comes
         self._every = {i: _cycles(hz) for i, hz in _DEFAULT_HZ.items() if i in self._makers}
         self._out: list[bytes] = []
 
@@ -105,8 +106,21 @@ class WireAutopilot:
         cycle = self._fleet.cycle
         for message_id, maker in self._makers.items():  # in this order: the inertial sample comes last
             every = self._every.get(message_id)
-            if every and (cycle % every == 0 or cycle == 1):
+            if every and (cycle % every == 0 or cycle == 1) and not self._stumbles(message_id, cycle // every):
                 self._say(maker())
+
+    def stumble(self, message_id: int, until_s: float, each: int = 0) -> None:
+        """A stream stops, or comes with each ``each``-th message alone, until ``until_s`` of the fleet's time."""
+        self._held[message_id] = until_s, each
+
+    def _stumbles(self, message_id: int, number: int) -> bool:
+        if message_id not in self._held:
+            return False
+        until_s, each = self._held[message_id]
+        if self._fleet.time_s >= until_s:
+            del self._held[message_id]
+            return False
+        return not each or number % each != 0
 
     def outgoing(self) -> list[bytes]:
         """Frames since the last call."""

@@ -16,14 +16,15 @@ from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials.campaign.events import Events, gusts
 from sitl.trials.campaign.manoeuvres import HEIGHT_M, Pilots
-from sitl.trials.campaign.scenario import Case, Scenario, drawn
+from sitl.trials.campaign.scenario import FROM_GROUND, Case, Scenario, drawn
 from sitl.trials.personality import prepared
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
 
 def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
-    """One row a flight; all of ``flights`` are of one airframe. A row does not depend on what it was flown beside."""
+    """One row a flight; all of ``flights`` are of one airframe, and start from the ground or in the air. A row does not
+    depend on what it was flown beside."""
     cases = [drawn(scenario, flight) for flight in flights]
     (airframe,) = {case.airframe for case in cases}
     both = cases * 2
@@ -33,7 +34,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         uncertainty=LEVELS[scenario.level](),
         wind_m_s=[case.wind_m_s for case in both],
         turbulence_m_s=[scenario.turbulence_share * case.wind_m_s for case in both],
-        height_m=HEIGHT_M,
+        height_m=0.0 if cases[0].manoeuvre == FROM_GROUND else HEIGHT_M,
         gusts=gusts(both),
     )
     plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(both))
@@ -127,7 +128,7 @@ def _partly(degraded: NDArray[np.bool_]) -> bool:
 
 def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
     fleet, record = flight.fleet, Record(cases)
-    pilots, events = Pilots(fleet, cases), Events(fleet, cases)
+    pilots, events = Pilots(fleet, cases), Events(flight, cases)
     for _ in range(math.ceil(max(case.until_s for case in cases) * AUTOPILOT_RATE_HZ)):
         pilots.step(fleet.time_s)
         events.step(fleet.time_s)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.fleet import Fleet
-from sitl.trials.campaign.scenario import Case, Manoeuvre
+from sitl.trials.campaign.scenario import FROM_GROUND, Case, Manoeuvre
+from sitl.trials.first_seconds import TakeOff
 from sitl.trials.forward import SPEEDS_M_S
 
 HEIGHT_M = 45.0
@@ -35,7 +36,7 @@ _HOLD = (math.nan, math.nan, math.nan)
 def legs(manoeuvre: Manoeuvre, seed: int, until_s: float) -> list[Leg]:
     """Of one vehicle."""
     draw = np.random.default_rng([seed, _MANOEUVRE_STREAM])
-    if manoeuvre == "hover":
+    if manoeuvre in ("hover", FROM_GROUND):
         return []
     if manoeuvre in ("climb", "descent"):
         speed = draw.uniform(*_VERTICAL_M_S) * (-1.0 if manoeuvre == "climb" else 1.0)
@@ -67,12 +68,16 @@ class Pilots:
         self._start = self._position.goal.copy()
         self._legs = [legs(case.manoeuvre, case.seed, case.until_s) for case in cases]
         self._next_s = self._due()
+        # All of a fleet start from the ground, or none.
+        self._take_off = TakeOff(fleet, turn=False) if cases[0].manoeuvre == FROM_GROUND else None
 
     def _due(self) -> NDArray[np.float64]:
         return np.array([own[0].from_s if own else math.inf for own in self._legs])
 
     def step(self, time_s: float) -> None:
         """Goals for ``time_s`` since the start."""
+        if self._take_off is not None:
+            self._take_off.step(time_s)
         if time_s < self._next_s.min(initial=math.inf):
             return
         position = self._position

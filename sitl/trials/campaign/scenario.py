@@ -16,12 +16,16 @@ from nff_companion.core.toml_file import Name
 from nff_companion.core.tuning.span import span
 from nff_companion.errors import ConfigError
 
-Manoeuvre = Literal["hover", "climb", "descent", "turn", "forward", "steps"]
+Manoeuvre = Literal["hover", "climb", "descent", "turn", "forward", "steps", "take-off"]
 FaultKind = Literal["none", "total", "partial", "ramp", "intermittent", "stuck", "high", "slow", "reversed", "blade"]
-Event = Literal["none", "gust", "drop", "hook", "shift", "sag"]
+Event = Literal[
+    "none", "gust", "drop", "hook", "shift", "sag", "slam", "imu", "jump", "reset", "frozen stream", "slow stream"
+]
 Level = Literal["exact", "calibrated", "geometry", "estimated"]
 MANOEUVRES: tuple[Manoeuvre, ...] = ("hover", "climb", "descent", "turn", "forward")
 _LEFT = {"reversed": (0.2, 0.6), "blade": (0.3, 0.8)}  # of the thrust, by what such faults are
+FROM_GROUND: Manoeuvre = "take-off"
+_EARLY_S = 2.3, 5.0  # of what happens in a take-off: from 0.1 to 3 m, and after
 _SLOWER = math.log(3.0), math.log(10.0)  # times the lag
 Share = Annotated[float, span(0.0, 1.0, "", "")]
 Seconds = Annotated[float, span(0.0, 3600.0, "s", "")]
@@ -29,8 +33,8 @@ Speed = Annotated[float, span(0.0, 20.0, "m/s", "")]
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A campaign's file. Airframes, manoeuvres, faults and events come in turn, all with all; what has two numbers is
-    drawn between them."""
+    """A campaign's file. Airframes, manoeuvres, faults and events come in turn, all with all, or with ``apart`` each
+    fault and each event by itself; what has two numbers is drawn between them."""
 
     name: Name
     flights: Annotated[int, span(1, 100_000_000, "", "with all of them the table is complete")]
@@ -44,6 +48,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     left: tuple[Share, Share] = (0.1, 0.9)  # of the thrust, in partial losses and at the end of ramps
     duration_s: tuple[Seconds, Seconds] = (0.2, 5.0)  # of ramps, and of the periods of what comes and goes
     events: tuple[Event, ...] = ("none",)  # what is no fault
+    apart: bool = False  # a fault or an event, never both in one flight
     at_s: tuple[Seconds, Seconds] = (5.0, 10.0)  # of fault or event
     fly_on_s: Annotated[float, span(0.5, 600.0, "s", "after it")] = 8.0
     wind_m_s: tuple[Speed, Speed] = (4.0, 4.0)
@@ -96,12 +101,14 @@ def read(path: Path) -> Scenario:
 
 
 def batches(scenario: Scenario) -> list[tuple[int, ...]]:
-    """Flights (from 0) that are flown together: of one airframe."""
-    kinds = len(scenario.airframes)
+    """Flights (from 0) that are flown together: of one airframe, all from the ground or none."""
+    kinds, places = len(scenario.airframes), len(scenario.manoeuvres)
     out = []
     for kind in range(kinds):
         mine = range(kind, scenario.flights, kinds)
-        out += [tuple(mine[k : k + scenario.batch]) for k in range(0, len(mine), scenario.batch)]
+        for ground in (False, True):
+            alike = [k for k in mine if (scenario.manoeuvres[k // kinds % places] == FROM_GROUND) == ground]
+            out += [tuple(alike[k : k + scenario.batch]) for k in range(0, len(alike), scenario.batch)]
     return sorted(out)
 
 
@@ -110,12 +117,10 @@ def drawn(scenario: Scenario, flight: int) -> Case:
     draw = np.random.default_rng([scenario.seed, flight])
     turn, airframe = divmod(flight, len(scenario.airframes))
     turn, manoeuvre = divmod(turn, len(scenario.manoeuvres))
-    turn, fault = divmod(turn, len(scenario.faults))
-    event = turn % len(scenario.events)
-    kind = scenario.faults[fault]
+    kind, event = _happens(scenario, turn)
     motors = vehicles.load(scenario.airframes[airframe]).motors
     order = draw.permutation(motors)  # drawn also where nothing fails: what follows is the same
-    at_s = draw.uniform(*scenario.at_s)
+    at_s = draw.uniform(*(_EARLY_S if scenario.manoeuvres[manoeuvre] == FROM_GROUND else scenario.at_s))
     left = draw.uniform(*scenario.left) if kind in ("partial", "ramp") else 0.0
     shortest, longest = (math.log(max(duration_s, 1e-3)) for duration_s in scenario.duration_s)
     duration_s, wind_m_s = math.exp(draw.uniform(shortest, longest)), draw.uniform(*scenario.wind_m_s)
@@ -131,9 +136,20 @@ def drawn(scenario: Scenario, flight: int) -> Case:
         left=left,
         duration_s=duration_s,
         slower=math.exp(draw.uniform(*_SLOWER)) if kind == "slow" else 1.0,
-        event=scenario.events[event],
+        event=event,
         at_s=at_s,
         until_s=at_s + scenario.fly_on_s,
         wind_m_s=wind_m_s,
         seed=seed,
     )
+
+
+def _happens(scenario: Scenario, turn: int) -> tuple[FaultKind, Event]:
+    """Of the ``turn``-th round of airframes and manoeuvres."""
+    if not scenario.apart:
+        turn, fault = divmod(turn, len(scenario.faults))
+        return scenario.faults[fault], scenario.events[turn % len(scenario.events)]
+    turn %= len(scenario.faults) + len(scenario.events)
+    if turn < len(scenario.faults):
+        return scenario.faults[turn], "none"
+    return "none", scenario.events[turn - len(scenario.faults)]
