@@ -33,6 +33,7 @@ class EstimatorState:
     started_s: float
     fast_until_s: float  # the disturbance is learnt quickly
     quiet_since_s: float | None  # y has been small, in that time
+    began_off: bool  # y was large from the first moments of the flight on, and has not been small since
     suspicious_since_s: float | None
     solved_s: float
     effectiveness: NDArray[np.float64]

@@ -93,6 +93,7 @@ class Estimator:
             started_s=time_s,
             fast_until_s=time_s + self.tuning.estimator.learn_fast_s,
             quiet_since_s=None,
+            began_off=False,
             suspicious_since_s=None,
             solved_s=-math.inf,
             effectiveness=np.ones(m),
@@ -114,6 +115,8 @@ class Estimator:
         decision, events = state.decision, list[Event]()
         if self.identify:
             suspected, best, direct = self._weigh(state, seen, onset, measurement)
+            if state.began_off and best is not None and len(best.motors) > 1:
+                suspected, best = False, None  # no two motors failed before the flight: the file is off
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
@@ -136,7 +139,7 @@ class Estimator:
         if suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(time_s, state.fast_until_s, suspicious_since_s, best)
-        fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
+        fast_until_s, quiet_since_s, began_off = self._settling(state, seen, time_s)
         among = decision.among if decision.among is not None and decision.among.told else None
         if among is not None:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
@@ -158,6 +161,7 @@ class Estimator:
             started_s=state.started_s,
             fast_until_s=fast_until_s,
             quiet_since_s=quiet_since_s,
+            began_off=began_off,
             suspicious_since_s=suspicious_since_s,
             solved_s=solved_s,
             effectiveness=effectiveness,
@@ -349,17 +353,20 @@ class Estimator:
         each = zip(eta, declared, lost, strict=True)
         return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
-    def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None]:
-        """Until when the start of a flight is learnt quickly, and since when y has been small: once it is, what comes
-        quickly is no error of the file, and must not be learnt away before it is weighed."""
+    def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None, bool]:
+        """Until when the start of a flight is learnt quickly, since when y has been small, and whether it was large
+        from the first moments on. Once it is small, what comes quickly is no error of the file, and must not be learnt
+        away before it is weighed."""
+        o = self.tuning.estimator
         if time_s >= state.fast_until_s:
-            return state.fast_until_s, None
+            return state.fast_until_s, None, False
         largest = max((seen.residual * seen.residual / seen.variance).tolist())
-        if largest > self.tuning.estimator.quiet**2:
-            return state.fast_until_s, None
+        began_off = state.began_off or (largest > o.suspicious**2 and time_s - state.started_s < o.began_off_s)
+        if largest > o.quiet**2:
+            return state.fast_until_s, None, began_off
         since_s = time_s if state.quiet_since_s is None else state.quiet_since_s
-        quiet = time_s - since_s >= self.tuning.estimator.quiet_s
-        return (time_s, None) if quiet else (state.fast_until_s, since_s)
+        quiet = time_s - since_s >= o.quiet_s
+        return (time_s, None, False) if quiet else (state.fast_until_s, since_s, began_off)
 
     def _learning_rate(
         self, time_s: float, fast_until_s: float, suspicious_since_s: float | None, best: Hypothesis | None

@@ -1,7 +1,7 @@
 """Is the vehicle in free flight? On the ground the ground pushes too, and any residual would be nonsense. Pure.
 
-What stands, or tips over on its legs, does not climb level: a vehicle that does is off the ground long before it is
-high, and there a failure is weighed at once.
+What stands does not climb, and what tips over on its legs climbs no higher than its arms are long: a vehicle that does
+is off the ground long before it is high, and there a failure is weighed at once.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ class FlightPhase:
     def __init__(self, vehicle: Vehicle, tuning: FlightPhaseTuning | None = None) -> None:
         self._tuning, self._hover = tuning or FlightPhaseTuning(), vehicle.hover
         full = vehicle.full_thrust_n / vehicle.mass_kg
+        self._arm_m = float(np.linalg.norm(vehicle.position_m[:, :2], axis=1).max())
         self._level = math.cos(math.radians(self._tuning.lifted_tilt_deg))
         self._impact_squared = (self._tuning.impact_share * full + self._tuning.impact_m_s2) ** 2
 
@@ -95,14 +96,15 @@ class FlightPhase:
         return -float(sample.position_m[2]) - ground_m > self._tuning.height_m
 
     def _climbs(self, sample: Sample, height: float | None, ground: float | None) -> bool:
-        """Off the ground and rising from it, level: not tipping over a leg. (What the autopilot says of having landed
-        comes seldom: it may be a second old.)"""
+        """Rising from the ground, and higher than tipping over a leg lifts it. (What the autopilot says of having
+        landed comes seldom: it may be a second old.)"""
         o, velocity, q = self._tuning, sample.velocity_m_s, sample.quaternion
         if height is None or ground is None or velocity is None or q is None or not sample.moves_plausibly:
             return False
-        if height - ground < o.lifted_m or -float(velocity[2]) < o.lifted_climb_m_s:
+        level = 1.0 - 2.0 * float(q[1] * q[1] + q[2] * q[2])
+        if level < self._level or -float(velocity[2]) < o.lifted_climb_m_s:
             return False
-        return 1.0 - 2.0 * float(q[1] * q[1] + q[2] * q[2]) > self._level
+        return height - ground > o.lifted_m + self._arm_m * math.sqrt(max(1.0 - level * level, 0.0))
 
     def _taken_off(
         self, sample: Sample, pushing_s: float, height: float | None, ground: float | None, *, hit: bool

@@ -22,7 +22,7 @@ __all__ = ["Fault", "Judgement", "judge"]
 
 _SETTLE_S = 0.3  # the effectiveness reported is that of so long after the declaration
 _FOLLOW_S = 3.0  # after a declaration it is looked at whether the motor works after all
-_BEGIN_S = 1.0  # of each flight left out of what is explained: take-off
+_BEGIN_S = 2.0  # of each flight left out of what is explained: take-off, and the air near the ground
 _JUDGED = Parts(judged=True)
 _FILTERS_S = 0.3  # and so long after a sample that could not be used: the filters start anew
 

@@ -144,10 +144,11 @@ def test_a_level_climb_is_flight_before_it_is_high(octo: Vehicle) -> None:
     "what",
     [
         {"height": 0.15, "climb": 0.05},  # set down on something, or a height that drifts
-        {"height": 0.05, "climb": 0.6},  # a velocity that is wrong, on the ground
-        {"height": 0.2, "climb": 0.6, "tilt_deg": 25.0},  # tips over on a leg
+        {"height": 0.03, "climb": 0.6},  # a velocity that is wrong, on the ground
+        {"height": 0.1, "climb": 0.6, "tilt_deg": 12.0},  # tips over on a leg
+        {"height": 0.3, "climb": 0.6, "tilt_deg": 40.0},  # and further
     ],
-    ids=["does not climb", "not off the ground", "tips over"],
+    ids=["does not climb", "not off the ground", "begins to tip over", "tips over"],
 )
 def test_what_stands_or_tips_over_does_not_fly_by_its_climb(octo: Vehicle, what: dict[str, float]) -> None:
     assert first_flying_s(octo, start=armed_at_zero(octo), **what) == pytest.approx(2.0, abs=0.02)  # by its thrust

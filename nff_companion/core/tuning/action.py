@@ -17,16 +17,15 @@ class FlightPhaseTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     height_m: Annotated[float, span(0.1, 20.0, "m", "above where it was armed: below, the ground may push")] = 0.7
     thrust_share: Annotated[float, span(0.3, 1.2, "", "from which the motors may be carrying the vehicle")] = 0.7
     sure_after_s: Annotated[float, span(0.05, 10.0, "s", "with height and thrust")] = 0.5
-    lifted_m: Annotated[float, span(0.02, 5.0, "m", "above where it was armed, from which a level climb is flight")] = (
-        0.12
-    )
+    lifted_m: Annotated[
+        float,
+        span(0.02, 5.0, "m", "above where it was armed, beyond what tipping over lifts it: then a climb is flight"),
+    ] = 0.05
     lifted_climb_m_s: Annotated[
         float, span(0.05, 5.0, "m/s", "of that climb: more than the estimate of what stands has wrong")
     ] = 0.25
-    lifted_tilt_deg: Annotated[
-        float, span(1.0, 45.0, "deg", "of what climbs level: on arms of 0.4 m a tip-over lifts 0.12 m only beyond 15")
-    ] = 10.0
-    lifted_after_s: Annotated[float, span(0.0, 5.0, "s", "of such a climb")] = 0.08
+    lifted_tilt_deg: Annotated[float, span(1.0, 45.0, "deg", "of what climbs, at most")] = 15.0
+    lifted_after_s: Annotated[float, span(0.0, 5.0, "s", "of such a climb")] = 0.04
     assumed_after_s: Annotated[
         float, span(0.1, 60.0, "s", "with thrust alone: no height is known, or a restart in flight")
     ] = 2.0
