@@ -299,7 +299,9 @@ class Companion:
         motor is declared the vehicle is no longer the one that the file describes."""
         if override is not None or not isinstance(estimating, EstimatorState):
             return self._fit.paused(state.fit)
-        if True in state.failed.tolist() or state.either or estimating.decision.among:
+        decided = estimating.decision
+        doubtful = decided.among or decided.more or decided.high
+        if True in state.failed.tolist() or state.either or doubtful:
             return self._fit.paused(state.fit)
         return self._fit.step(state.fit, estimating.residual)
 
@@ -310,8 +312,9 @@ class Companion:
         motors = motors or tuple(motor + 1 for motor in estimate.either)
         if motors:
             state = replace(state, held_back=(motors, time_s))
-        if estimate.events or estimate.either or estimate.among or estimate.failed is not state.failed:
-            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), among=(), events=[])
+        said = estimate.events or estimate.either or estimate.among or estimate.more
+        if said or estimate.failed is not state.failed:
+            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), among=(), more=(), events=[])
         return state, estimate
 
     def _known(self, estimate: Estimate) -> Knowledge:

@@ -98,6 +98,7 @@ class Outcome:
             bad_samples=state.bad_samples,
             either=tuple(motor + 1 for motor in state.either),
             among=() if estimate is None else tuple(tuple(i + 1 for i in motors) for motors in estimate.among),
+            more=() if estimate is None else tuple(motor + 1 for motor in estimate.more),
             fit=state.fit.fit,
             trusted=state.trusted,
             notes=notes,

@@ -211,6 +211,7 @@ class Reporter:
             "failed": numbers(output.failed),
             "either": list(output.either),
             "among": [list(motors) for motors in output.among],
+            "more": list(output.more),
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],

@@ -65,15 +65,16 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
     among = Statement(Reason.AMONG, " or ".join("+".join(map(str, motors)) for motors in output.among))
+    high = Statement(Reason.MORE, ", ".join(map(str, output.more)))
     if not _anything(output):
-        return among if output.among else Statement(Reason.HEALTHY)
+        return among if output.among else high if output.more else Statement(Reason.HEALTHY)
     motors = _listed(output.failed if output.failed.any() else output.degraded)
     if unconfirmed_s is not None:
         return Statement(Reason.TELLING, motors)
     if condition.takes_matrix and output.plan is None:
         return Statement(Reason.STOPPED, motors)
-    if output.among:
-        return among
+    if output.among or output.more:
+        return among if output.among else high
     no_yaw = condition.in_force.yaw_released or (output.plan is not None and bool(output.plan.released))
     if output.failed.any():
         return Statement(Reason.REALLOCATED_NO_YAW if no_yaw else Reason.REALLOCATED, motors)

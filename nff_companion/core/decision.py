@@ -32,6 +32,7 @@ class Hypothesis:
     age_s: float
     beside: float = 0.0  # margin over the next that is not of the same place (core/mates.py)
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
+    more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
     # This one and those that explain as well, the best first: sets of motors with their losses. Empty: it leads.
     alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
 
@@ -59,6 +60,8 @@ class DecisionState:
     failed: NDArray[np.bool_]  # (m,) bool, latched
     either: tuple[int, ...] = ()  # one of these two, above each other, has failed; latched
     among: Among | None = None  # sets of motors of which one has failed
+    more: Among | None = None  # a motor that seems to pull more than it is asked to, as the only set
+    high: tuple[int, ...] = ()  # motors that are believed to pull with all they have, whatever they are asked to
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
@@ -72,7 +75,8 @@ class DecisionState:
     @property
     def quiet(self) -> bool:
         """Nothing is being confirmed."""
-        return not (self.candidate or self.gradual_since_s or self.healthy_since_s or self.among)
+        weighed = self.candidate or self.gradual_since_s or self.healthy_since_s
+        return not (weighed or self.among or self.more)
 
 
 class Decision:
@@ -84,17 +88,25 @@ class Decision:
         self.failed_max = max(1, min(tuning.failed_max, motors - axes))
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
-    def best(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> Hypothesis | None:
-        """The hypothesis that explains the windows best, None when none improves enough."""
+    def best(
+        self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float, high: tuple[int, ...] = ()
+    ) -> Hypothesis | None:
+        """The hypothesis that explains the windows best, None when none improves enough. ``high``: motors of which it
+        is known already that they pull more than they are asked to."""
         o = self.tuning
         sums, one, one_best, first = _alone(sums, failed, gamma)
         if not self._improves(one_best[first]):
             return None
-        pairs = self._pairs
+        pairs, most, puller = self._pairs, 0.0, -1
+        if sums.more is not None and sums.more_square is not None:
+            pulls = np.where(failed, 0.0, hypotheses.more(sums.more, sums.more_square)) - o.pair_min
+            pulls[list(high)] = 0.0
+            puller = int(pulls.argmax())
+            most = float(pulls[puller])
         if True in failed.tolist():
             pairs = pairs[~failed[pairs].any(axis=1)]
         if len(pairs) == 0:
-            return self._describe((first,), one, first, sums, one_best, np.zeros(0))
+            return self._against(self._describe((first,), one, first, sums, one_best, np.zeros(0)), most, puller)
         two = hypotheses.pairs(sums.matrix, sums.vector, gamma, pairs[:, 0], pairs[:, 1])
         two_best = two.improvement.max(axis=0)
         best = int(two_best.argmax())
@@ -103,12 +115,21 @@ class Decision:
             others = _beside(two_best, best)
             found = self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
             found = self._with_alike(found, pairs, two, two_best)
-            return self._of_place(found, pairs, two_best, one_best)
+            return self._against(self._of_place(found, pairs, two_best, one_best), most + o.pair_min, puller)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
         others = _beside(one_best, first)
         found = self._describe((first,), one, first, sums, others, without)
-        return self._of_place(found, pairs, two_best, one_best)
+        return self._against(self._of_place(found, pairs, two_best, one_best), most, puller)
+
+    def _against(self, found: Hypothesis, most: float, puller: int) -> Hypothesis:
+        """``found``, with its margin over that the motor ``puller`` pulls more than it is asked to, which improves by
+        ``most``: it turns the vehicle as the loss of those on the other side does."""
+        ahead = most - found.improvement
+        if -ahead >= found.margin:
+            return found
+        more = puller if ahead > self.tuning.margin_min and most > self.tuning.improvement_min else -1
+        return replace(found, margin=-ahead, beside=min(found.beside, -ahead), alike=(), more=more)
 
     def _with_alike(
         self,
@@ -223,19 +244,21 @@ class Decision:
         ``driven``."""
         before: list[bool] = state.failed.tolist()
         eta: list[float] = effectiveness.tolist()
-        told = best is None and direct is None and state.among is None
+        told = best is None and direct is None and state.among is None and state.more is None
         if told and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
-            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either)
+            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either, high=state.high)
             return (state if state.quiet else quiet), []
         works = (eta, deviation.tolist(), driven.tolist())
-        new = DecisionState(failed=state.failed, either=state.either)
+        new = DecisionState(failed=state.failed, either=state.either, high=state.high)
         shown: list[float] = (driven if turned is None else turned).tolist()
         if best is not None and best.place and direct is None:
             events = self._either(state, new, time_s, best, shown)
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
         new.among = None if events else self._among(state, time_s, best)
-        events += self._gradual(state, new, time_s, *works)
+        self._pulls_more(state, new, time_s, best)
+        if new.more is None:
+            events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
         return new, events
@@ -258,6 +281,9 @@ class Decision:
             return []
         if min(shown[i] for i in best.motors) < self.tuning.driven:
             return []  # what such a motor could lose is within what the others may be wrong by
+        if set(best.motors) & set(state.high):
+            new.high = tuple(motor for motor in state.high if motor not in best.motors)
+            return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
         wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
@@ -295,6 +321,15 @@ class Decision:
             if self.failed_max - sum(state.failed.tolist()) > 1
             else []
         )
+
+    def _pulls_more(self, state: DecisionState, new: DecisionState, time_s: float, best: Hypothesis | None) -> None:
+        """A motor that pulls more than it is asked to is believed to pull with all it has once that has been the best
+        explanation for long enough, until the motion says that it does not: by what then looks like its loss."""
+        found = () if best is None or best.more < 0 else ((best.more,),)
+        new.more = followed(state.more, time_s, found, self.tuning)
+        if new.more is not None and new.more.told:
+            new.high = tuple(sorted({*state.high, *new.more.sets[0]}))
+            new.more = None
 
     def _among(self, state: DecisionState, time_s: float, best: Hypothesis | None) -> Among | None:
         """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it
@@ -401,4 +436,4 @@ def _alone(
 def _without(sums: OnsetSums, nuisance: NDArray[np.intp]) -> OnsetSums:
     """What is left when the motors ``nuisance`` (indices) are fitted freely."""
     matrix, vector, energy, _ = hypotheses.without_nuisance(sums.matrix, sums.vector, sums.energy, nuisance)
-    return OnsetSums(matrix=matrix, vector=vector, energy=energy, age_s=sums.age_s)
+    return replace(sums, matrix=matrix, vector=vector, energy=energy)

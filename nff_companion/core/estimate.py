@@ -33,7 +33,6 @@ class EstimatorState:
     started_s: float
     fast_until_s: float  # the disturbance is learnt quickly
     quiet_since_s: float | None  # y has been small, in that time
-    began_off: bool  # y was large from the first moments of the flight on, and has not been small since
     suspicious_since_s: float | None
     solved_s: float
     effectiveness: NDArray[np.float64]
@@ -57,6 +56,7 @@ class Estimate:
     events: list[Event]
     either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
     among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
+    more: tuple[int, ...] = ()  # index of the motor that pulls more than it is asked to
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
     bend: float = 0.0  # of the thrust curve (core/curve.py)

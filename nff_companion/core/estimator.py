@@ -93,7 +93,6 @@ class Estimator:
             started_s=time_s,
             fast_until_s=time_s + self.tuning.estimator.learn_fast_s,
             quiet_since_s=None,
-            began_off=False,
             suspicious_since_s=None,
             solved_s=-math.inf,
             effectiveness=np.ones(m),
@@ -115,8 +114,8 @@ class Estimator:
         decision, events = state.decision, list[Event]()
         if self.identify:
             suspected, best, direct = self._weigh(state, seen, onset, measurement)
-            if state.began_off and best is not None and len(best.motors) > 1:
-                suspected, best = False, None  # no two motors failed before the flight: the file is off
+            if self._begins(state, time_s):
+                suspected, best = False, None
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
@@ -132,14 +131,15 @@ class Estimator:
                 direct,
                 turned,
             )
-        if any(event.declared for event in events) or decision.either != state.decision.either:
+        told = decision.either != state.decision.either or decision.high != state.decision.high
+        if told or any(event.declared for event in events):
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
         suspicious_since_s = None
         if suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
-        rate = self._learning_rate(time_s, state.fast_until_s, suspicious_since_s, best)
-        fast_until_s, quiet_since_s, began_off = self._settling(state, seen, time_s)
+        rate = self._learning_rate(state, time_s, suspicious_since_s, best)
+        fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
         among = decision.among if decision.among is not None and decision.among.told else None
         if among is not None:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
@@ -161,7 +161,6 @@ class Estimator:
             started_s=state.started_s,
             fast_until_s=fast_until_s,
             quiet_since_s=quiet_since_s,
-            began_off=began_off,
             suspicious_since_s=suspicious_since_s,
             solved_s=solved_s,
             effectiveness=effectiveness,
@@ -170,12 +169,15 @@ class Estimator:
         if decision.either:
             effectiveness = effectiveness.copy()
             effectiveness[list(decision.either)] = HALF
+        if decision.more is not None or decision.high:
+            effectiveness = np.where(decision.failed, effectiveness, 1.0)  # what others seem to lack it does too much
         estimate = Estimate(
             effectiveness=effectiveness,
             deviation=deviation,
             failed=decision.failed,
             either=decision.either,
             among=() if among is None else among.sets,
+            more=decision.high,
             raw=seen.balanced + seen.unbalanced + seen.turned + state.curve.bend * seen.bent,
             residual=seen.residual,
             disturbance=seen.unbalanced + seen.expectation.believed,
@@ -197,6 +199,10 @@ class Estimator:
         filtered = self._filter.step(
             state.residual, measurement.gyro, measurement.specific_force, measurement.command, measurement.dt_s
         )
+        if state.decision.high:
+            pulls = filtered.thrust_shown.copy()
+            pulls[list(state.decision.high)] = 1.0
+            filtered = replace(filtered, thrust_shown=pulls)
         side_drag = self._filter.side_drag(filtered)
         matrix = self._filter.effectiveness_matrix(state.balance.matrix, side_drag, state.side_drag.share)
         thrust_left = filtered.thrust_shown
@@ -271,7 +277,7 @@ class Estimator:
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return self._decision.suspects(sums, failed, gamma), None, None
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
-        best = self._decision.best(sums, failed, gamma)
+        best = self._decision.best(sums, failed, gamma, state.decision.high)
         return best is not None, best, direct
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
@@ -332,6 +338,8 @@ class Estimator:
             or True in decision.failed.tolist()
             or decision.either
             or decision.among
+            or decision.more
+            or decision.high
         ):
             return balance
         settling = time_s < state.fast_until_s
@@ -353,31 +361,33 @@ class Estimator:
         each = zip(eta, declared, lost, strict=True)
         return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
-    def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None, bool]:
-        """Until when the start of a flight is learnt quickly, since when y has been small, and whether it was large
-        from the first moments on. Once it is small, what comes quickly is no error of the file, and must not be learnt
-        away before it is weighed."""
+    def _begins(self, state: EstimatorState, time_s: float) -> bool:
+        """In the first moments of a flight: what is off in them is off by the file, and no failure of that moment."""
+        return time_s - state.started_s < self.tuning.estimator.begin_s
+
+    def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None]:
+        """Until when the start of a flight is learnt quickly, and since when y has been small: once it is, what comes
+        quickly is no error of the file, and must not be learnt away before it is weighed."""
         o = self.tuning.estimator
         if time_s >= state.fast_until_s:
-            return state.fast_until_s, None, False
-        largest = max((seen.residual * seen.residual / seen.variance).tolist())
-        began_off = state.began_off or (largest > o.suspicious**2 and time_s - state.started_s < o.began_off_s)
-        if largest > o.quiet**2:
-            return state.fast_until_s, None, began_off
+            return state.fast_until_s, None
+        if max((seen.residual * seen.residual / seen.variance).tolist()) > o.quiet**2:
+            return state.fast_until_s, None
         since_s = time_s if state.quiet_since_s is None else state.quiet_since_s
-        quiet = time_s - since_s >= o.quiet_s
-        return (time_s, None, False) if quiet else (state.fast_until_s, since_s, began_off)
+        return (time_s, None) if time_s - since_s >= o.quiet_s else (state.fast_until_s, since_s)
 
     def _learning_rate(
-        self, time_s: float, fast_until_s: float, suspicious_since_s: float | None, best: Hypothesis | None
+        self, state: EstimatorState, time_s: float, suspicious_since_s: float | None, best: Hypothesis | None
     ) -> float:
-        """Speed of learning phi a: fast after the start, frozen while a failure is being weighed."""
+        """Speed of learning phi a: faster at the start, frozen while a failure is being weighed."""
         o = self.tuning.estimator
         if suspicious_since_s is not None:
             sure = best is not None and best.explained > o.sure_explained
             longest = o.freeze_sure_s if sure else o.freeze_max_s
             return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
-        return o.learn_fast_rate if time_s < fast_until_s else 1.0
+        if self._begins(state, time_s):
+            return o.begin_rate
+        return o.learn_fast_rate if time_s < state.fast_until_s else 1.0
 
 
 def _shut(estimate: Estimate) -> None:

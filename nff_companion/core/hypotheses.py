@@ -30,6 +30,13 @@ def singles(matrix: NDArray[np.float64], vector: NDArray[np.float64], gamma: flo
     return Scores(e=e[:, :, None], improvement=linear * e - 0.5 * diagonal * e * e)
 
 
+def more(vector: NDArray[np.float64], square: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Improvement (m,), at its best window, of each motor that pulls by up to its full thrust more than it is asked to:
+    one whose output is stuck, high. From q and the diagonal of S (K, m)."""
+    d = np.minimum(np.maximum(vector / (square + _TINY), 0.0), 1.0)
+    return np.asarray(np.maximum.reduce(vector * d - 0.5 * square * d * d, axis=0))
+
+
 def pairs(
     matrix: NDArray[np.float64],
     vector: NDArray[np.float64],

@@ -31,12 +31,15 @@ class OnsetState:
 
 @dataclass(frozen=True, slots=True)
 class OnsetSums:
-    """Statistics of each window: S (K, m, m), q (K, m), energy (K,), and its age (K,) in s."""
+    """Statistics of each window: S (K, m, m), q (K, m), energy (K,), and its age (K,) in s; ``more``, ``more_square``
+    (K, m): q and the diagonal of S for a motor that pulls by a part of its full thrust more than it is asked to."""
 
     matrix: NDArray[np.float64]
     vector: NDArray[np.float64]
     energy: NDArray[np.float64]
     age_s: NDArray[np.float64]
+    more: NDArray[np.float64] | None = None
+    more_square: NDArray[np.float64] | None = None
 
 
 class OnsetBank:
@@ -64,6 +67,7 @@ class OnsetBank:
             self._response[row, self.length - count :] = 1.0
             self._inside[row, self.length - count :] = 1.0
         self._squared = self._response**2
+        self._response_square = self._squared.sum(axis=1)
         self._counts = np.array(counts + standing)
         self._mean = self._inside / self._counts[:, None]
         self.age_s = self._counts * dt_s
@@ -127,7 +131,10 @@ class OnsetBank:
         product = self._response.dot((y[:, :, None] * w[:, None, :]).reshape(-1, n * m))  # (K, n m)
         matrix = (outer * weighted.T.dot(b).ravel()).reshape(-1, m, m)
         vector = np.add.reduce((product * weighted.ravel()).reshape(-1, n, m), axis=1)
-        sums = OnsetSums(matrix, vector, self._inside.dot(squared.dot(noise_weight)), self.age_s)
+        more = self._response.dot(y).dot(weighted)
+        more_square = self._response_square[:, None] * np.add.reduce(weighted * b, axis=0)
+        energy = self._inside.dot(squared.dot(noise_weight))
+        sums = OnsetSums(matrix, vector, energy, self.age_s, more, more_square)
         return self._marginal(sums, w, y, b, noise_weight, variance) if self._joint else sums
 
     def _total_variance(

@@ -22,6 +22,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "level": "calibrated",
         "named": list(case.motors),
         "either": [],
+        "more": [],
         "among": [],
         "among_s": None,
         "delay_s": 0.07,

@@ -170,9 +170,10 @@ class EstimatorTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     quiet_s: Annotated[
         float, span(0.0, 2.0, "s", "of that: then a failure early in the flight is not learnt away quickly")
     ] = 0.1
-    began_off_s: Annotated[
-        float, span(0.0, 0.5, "s", "of a flight: what is off in them is off by the file, and is no pair of motors")
+    begin_s: Annotated[
+        float, span(0.0, 0.5, "s", "of a flight: what is off in them is off by the file, and is no failure of a motor")
     ] = 0.04
+    begin_rate: Annotated[float, span(1.0, 500.0, "", "speed of learning in them, over the usual")] = 100.0
     freeze_max_s: Annotated[
         float, span(0.05, 10.0, "s", "learning stands while a failure is weighed, for no longer: it may be the air")
     ] = 1.0

@@ -52,7 +52,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         record = _flown(flight, both)
     rows = []
     for k, case in enumerate(cases):
-        seen = _seen(case, flight.companions[k], record.partly_s[k], record.either[k], record.among[k])
+        seen = _seen(case, flight.companions[k], record, k)
         rows.append(case.row() | {"level": scenario.level} | seen | record.row(k, len(cases) + k))
     return rows
 
@@ -86,6 +86,8 @@ class Record:
         self.either: list[tuple[float, tuple[int, ...]]] = [(math.inf, ())] * n  # one of two motors, from when on
         self.among: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(math.inf, ())] * n  # the last sets, and since
 
+        self.more: list[dict[int, float]] = [{} for _ in range(n)]  # motors that pull more than asked, and since when
+
     def note(self, flight: VirtualFlight) -> None:
         """After a cycle."""
         fleet = flight.fleet
@@ -103,6 +105,9 @@ class Record:
             either = companion.output.either
             if either and not self.either[k][1] and flies[k]:
                 self.either[k] = fleet.time_s, either
+            if companion.output.more and flies[k]:
+                for motor in companion.output.more:
+                    self.more[k].setdefault(motor, fleet.time_s)
             among = companion.output.among
             if among and flies[k]:
                 self.among[k] = min(self.among[k][0], fleet.time_s), among
@@ -137,31 +142,31 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
     return record
 
 
-def _seen(
-    case: Case,
-    companion: TrialCompanion,
-    partly_s: float | None,
-    either: tuple[float, tuple[int, ...]],
-    among: tuple[float, tuple[tuple[int, ...], ...]],
-) -> dict[str, Any]:
-    """What the companion said of it. ``among``: the sets of motors that could not be told apart, as said last, and
-    ``among_s``, when the first was. ``delay_s``: from the failure until all motors that fail are named, by themselves
-    or as one of two above each other (``either``); ``wrong``: motors that work, declared; ``changes``: declarations and
-    lifts."""
+def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict[str, Any]:
+    """What the companion of vehicle ``k`` said of it. ``delay_s``: from the failure until all motors that fail are
+    named: by themselves, as one of two above each other (``either``), or as pulling more than asked (``more``);
+    ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
+    ``wrong``: motors named that work; ``changes``: declarations and lifts."""
+    partly_s, (either_s, one_of), among, more = record.partly_s[k], record.either[k], record.among[k], record.more[k]
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
     declared = [(time_s, event.motor) for time_s, event in events if event.declared]
     right = {motor: time_s for time_s, motor in reversed(declared) if motor in case.motors and time_s >= case.at_s}
     wrong = sorted({motor for time_s, motor in declared if motor not in case.motors or time_s < case.at_s})
-    either_s, one_of = either
     if set(one_of) & set(case.motors) and either_s >= case.at_s:
         for motor in set(one_of) & set(case.motors):
             right[motor] = min(right.get(motor, math.inf), either_s)
     elif one_of:
         wrong = sorted({*wrong, *one_of})
+    for motor, time_s in more.items():
+        if motor in case.motors and time_s >= case.at_s:
+            right[motor] = min(right.get(motor, math.inf), time_s)
+        else:
+            wrong = sorted({*wrong, motor})
     whole = set(case.motors) <= set(right)
     return {
         "named": sorted(right),
         "either": list(one_of),
+        "more": sorted(more),
         "among": [list(motors) for motors in among[1]],
         "among_s": None if not among[1] else round(among[0] - case.at_s, 4),
         "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,

@@ -33,6 +33,7 @@ _TYPES = {
     "level": "string",
     "named": "list<int64>",
     "either": "list<int64>",
+    "more": "list<int64>",
     "among": "list<list<int64>>",
     "among_s": "double",
     "delay_s": "double",

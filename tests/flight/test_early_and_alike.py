@@ -1,0 +1,89 @@
+"""Losses in the first moments of a flight, and two at once that cannot be told apart, flown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from nff_companion.condition import Mode, Reason
+from nff_companion.core import vehicle as vehicles
+from sitl import airframe as plant_airframe
+from sitl.faults import Fault
+from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials.first_seconds import TakeOff
+from sitl.trials.virtual import TrialOptions, VirtualFlight
+from sitl.uncertainty import LEVELS
+
+
+def started(
+    airframe: str, seeds: list[int], faults: Sequence[Fault] = (), *, level: str = "exact", height_m: float = 0.0
+) -> VirtualFlight:
+    options = FleetOptions(
+        seeds=seeds, model_error=0.1, uncertainty=LEVELS[level](), wind_m_s=4.0, turbulence_m_s=1.0, height_m=height_m
+    )
+    plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(seeds))
+    trials = dict.fromkeys(range(len(seeds)), TrialOptions(mode=Mode.ALLOCATE))
+    return VirtualFlight(Fleet(plants, options, list(faults)), trials, airframe=airframe)
+
+
+def taken_off(flight: VirtualFlight, until_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Times (N,) at which each passes 0.2 m."""
+    script, low = TakeOff(flight.fleet, turn=False), np.full(flight.fleet.vehicles, np.nan)
+    for _ in range(round(until_s * AUTOPILOT_RATE_HZ)):
+        script.step(flight.fleet.time_s)
+        flight.step()
+        passed = np.isnan(low) & (flight.fleet.state.position_m[:, 2] < -0.2)
+        low[passed] = flight.fleet.time_s
+    return low
+
+
+LOST = ((1,), (4,), (7,), (1, 7), (5, 7), (5, 6))
+
+
+def test_motors_that_stop_20_cm_above_the_ground_are_named_at_once() -> None:
+    seeds = list(range(11, 11 + len(LOST)))
+    at_s = taken_off(started("octo-x", seeds), 3.0)
+    faults = [
+        Fault(vehicle=k, motor=motor, start_s=float(at_s[k]), kind="total")
+        for k, motors in enumerate(LOST)
+        for motor in motors
+    ]
+    flight = started("octo-x", seeds, faults)
+    taken_off(flight, 5.0)
+    for k, motors in enumerate(LOST):
+        events = flight.companions[k].events
+        assert {event.motor for _, event in events} <= set(motors)
+        if len(motors) == 1:
+            assert [event.motor for _, event in events] == list(motors)
+            assert events[0][0] - at_s[k] < 0.25
+        else:
+            assert [event.motor for _, event in events] == list(motors)
+            assert events[1][0] - at_s[k] < 0.3
+    assert not flight.fleet.state.crashed.any()
+
+
+def test_a_take_off_by_a_file_that_is_far_off_declares_nothing() -> None:
+    """By its thrust curve it lifts a third less than it does: as if two of the six motors were gone."""
+    flight = started("hexa-x", [101], level="estimated")
+    taken_off(flight, 5.0)
+    assert flight.companions[0].output.flying
+    assert flight.companions[0].events == []
+
+
+@pytest.mark.parametrize("lost", [(1, 2), (7, 8)])
+def test_opposite_motors_are_said_as_a_set_and_the_vehicle_is_left_as_it_flies(lost: tuple[int, int]) -> None:
+    faults = [Fault(vehicle=0, motor=motor, start_s=4.0, kind="total") for motor in lost]
+    flight = started("octo-x", [5], faults, level="calibrated", height_m=30.0)
+    said = set()
+    for _ in range(7 * AUTOPILOT_RATE_HZ):
+        flight.step()
+        moment = flight.companions[0].session.moment()
+        said.add(moment.verdict.reason)
+        assert not set(moment.output.failed.nonzero()[0] + 1) - set(lost)
+    assert Reason.AMONG in said or flight.companions[0].output.failed.any()
+    assert Reason.PARTIAL not in said
+    if Reason.AMONG in said and not flight.companions[0].output.failed.any():
+        assert lost in flight.companions[0].output.among
+    assert not flight.fleet.state.crashed.any()
