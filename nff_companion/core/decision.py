@@ -89,10 +89,10 @@ class Decision:
         self._pairs = np.array(list(combinations(range(motors), 2)), int).reshape(-1, 2)
 
     def best(
-        self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float, high: tuple[int, ...] = ()
+        self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float, known: tuple[int, ...] = ()
     ) -> Hypothesis | None:
-        """The hypothesis that explains the windows best, None when none improves enough. ``high``: motors of which it
-        is known already that they pull more than they are asked to."""
+        """The hypothesis that explains the windows best, None when none improves enough. ``known``: motors of which it
+        is known already that they pull more, or may."""
         o = self.tuning
         sums, one, one_best, first = _alone(sums, failed, gamma)
         if not self._improves(one_best[first]):
@@ -100,7 +100,7 @@ class Decision:
         pairs, most, puller = self._pairs, 0.0, -1
         if sums.more is not None and sums.more_square is not None:
             pulls = np.where(failed, 0.0, hypotheses.more(sums.more, sums.more_square)) - o.pair_min
-            pulls[list(high)] = 0.0
+            pulls[list(known)] = 0.0
             puller = int(pulls.argmax())
             most = float(pulls[puller])
         if True in failed.tolist():

@@ -277,7 +277,9 @@ class Estimator:
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return self._decision.suspects(sums, failed, gamma), None, None
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
-        best = self._decision.best(sums, failed, gamma, state.decision.high)
+        # Of one of two half is believed lost: where that one works again both seem to pull more.
+        known = (*state.decision.high, *state.decision.either)
+        best = self._decision.best(sums, failed, gamma, known)
         return best is not None, best, direct
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:

@@ -43,7 +43,7 @@ LOST = ((1,), (4,), (7,), (1, 7), (5, 7), (5, 6))
 
 
 def test_motors_that_stop_20_cm_above_the_ground_are_named_at_once() -> None:
-    seeds = list(range(11, 11 + len(LOST)))
+    seeds = list(range(21, 21 + len(LOST)))
     at_s = taken_off(started("octo-x", seeds), 3.0)
     faults = [
         Fault(vehicle=k, motor=motor, start_s=float(at_s[k]), kind="total")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -90,7 +91,12 @@ def test_a_motion_that_begins_between_two_outputs_is_no_loss(begin_s: float, rng
     if begin_s == 0.0 and "too few to see" not in seldom.reason:  # by its noise, nothing seemed lost until late
         assert "RCOU at 10 Hz is too seldom for this motion: what they leave unexplained" in seldom.reason
         return
-    assert ("too few to see" if begin_s == 0.0 else "seemed lost at 8.0") in seldom.reason
+    if begin_s == 0.0:
+        assert "too few to see" in seldom.reason
+    else:
+        seemed = re.search(r"seemed lost at ([0-9.]+) s", seldom.reason)
+        assert seemed is not None
+        assert float(seemed[1]) >= begin_s
     assert "would have been declared" in seldom.reason
 
 
