@@ -1,4 +1,4 @@
-"""Losses in the first moments of a flight, and two at once that cannot be told apart, flown."""
+"""Losses in the first moments of a flight, two at once that cannot be told apart, and a motor at full output, flown."""
 
 from __future__ import annotations
 
@@ -87,3 +87,15 @@ def test_opposite_motors_are_said_as_a_set_and_the_vehicle_is_left_as_it_flies(l
     if Reason.AMONG in said and not flight.companions[0].output.failed.any():
         assert lost in flight.companions[0].output.among
     assert not flight.fleet.state.crashed.any()
+
+
+def test_a_motor_at_full_output_is_said_and_nobody_else_is_blamed() -> None:
+    flight = started("octo-x", [4], [Fault(vehicle=0, motor=3, start_s=3.0, kind="high")], height_m=40.0)
+    companion, said = flight.companions[0], []
+    while flight.fleet.time_s < 6.0 and not flight.fleet.state.crashed.any():
+        flight.step()
+        if flight.fleet.cycle % (AUTOPILOT_RATE_HZ // 10) == 0:
+            said.append(companion.session.moment().verdict)
+    assert companion.events == []
+    assert "motor 3 pulls more than asked: LAND" in [verdict.text for verdict in said if verdict.reason == Reason.MORE]
+    assert not companion.output.degraded.any()
