@@ -300,7 +300,7 @@ class Companion:
         if override is not None or not isinstance(estimating, EstimatorState):
             return self._fit.paused(state.fit)
         decided = estimating.decision
-        doubtful = decided.among or decided.more or decided.high
+        doubtful = decided.among or decided.more
         if True in state.failed.tolist() or state.either or doubtful:
             return self._fit.paused(state.fit)
         return self._fit.step(state.fit, estimating.residual)

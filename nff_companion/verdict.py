@@ -65,7 +65,7 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
     among = Statement(Reason.AMONG, " or ".join("+".join(map(str, motors)) for motors in output.among))
-    high = Statement(Reason.MORE, ", ".join(map(str, output.more)))
+    high = Statement(Reason.MORE, " or ".join(map(str, output.more)))
     if not _anything(output):
         return among if output.among else high if output.more else Statement(Reason.HEALTHY)
     motors = _listed(output.failed if output.failed.any() else output.degraded)

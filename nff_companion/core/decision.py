@@ -61,7 +61,6 @@ class DecisionState:
     either: tuple[int, ...] = ()  # one of these two, above each other, has failed; latched
     among: Among | None = None  # sets of motors of which one has failed
     more: Among | None = None  # a motor that seems to pull more than it is asked to, as the only set
-    high: tuple[int, ...] = ()  # motors that are believed to pull with all they have, whatever they are asked to
     candidate: tuple[int, ...] = ()
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
@@ -99,7 +98,8 @@ class Decision:
             return None
         pairs, most, puller = self._pairs, 0.0, -1
         if sums.more is not None and sums.more_square is not None:
-            pulls = np.where(failed, 0.0, hypotheses.more(sums.more, sums.more_square)) - o.pair_min
+            improvement, by = hypotheses.more(sums.more, sums.more_square)
+            pulls = np.where(failed | (by < o.more_min), 0.0, improvement) - o.pair_min
             pulls[list(known)] = 0.0
             puller = int(pulls.argmax())
             most = float(pulls[puller])
@@ -128,7 +128,7 @@ class Decision:
         ahead = most - found.improvement
         if -ahead >= found.margin:
             return found
-        more = puller if ahead > self.tuning.margin_min and most > self.tuning.improvement_min else -1
+        more = puller if ahead > self.tuning.margin_min and most > self.tuning.more_improvement_min else -1
         return replace(found, margin=-ahead, beside=min(found.beside, -ahead), alike=(), more=more)
 
     def _with_alike(
@@ -246,18 +246,18 @@ class Decision:
         eta: list[float] = effectiveness.tolist()
         told = best is None and direct is None and state.among is None and state.more is None
         if told and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
-            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either, high=state.high)
+            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either)
             return (state if state.quiet else quiet), []
         works = (eta, deviation.tolist(), driven.tolist())
-        new = DecisionState(failed=state.failed, either=state.either, high=state.high)
+        new = DecisionState(failed=state.failed, either=state.either)
         shown: list[float] = (driven if turned is None else turned).tolist()
+        new.more = self._pulls_more(state, time_s, best)
         if best is not None and best.place and direct is None:
             events = self._either(state, new, time_s, best, shown)
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
         new.among = None if events else self._among(state, time_s, best)
-        self._pulls_more(state, new, time_s, best)
-        if new.more is None:
+        if not (new.more and new.more.told):
             events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -281,8 +281,7 @@ class Decision:
             return []
         if min(shown[i] for i in best.motors) < self.tuning.driven:
             return []  # what such a motor could lose is within what the others may be wrong by
-        if set(best.motors) & set(state.high):
-            new.high = tuple(motor for motor in state.high if motor not in best.motors)
+        if new.more is not None and new.more.told:
             return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
@@ -322,14 +321,17 @@ class Decision:
             else []
         )
 
-    def _pulls_more(self, state: DecisionState, new: DecisionState, time_s: float, best: Hypothesis | None) -> None:
-        """A motor that pulls more than it is asked to is believed to pull with all it has once that has been the best
-        explanation for long enough, until the motion says that it does not: by what then looks like its loss."""
-        found = () if best is None or best.more < 0 else ((best.more,),)
-        new.more = followed(state.more, time_s, found, self.tuning)
-        if new.more is not None and new.more.told:
-            new.high = tuple(sorted({*state.high, *new.more.sets[0]}))
-            new.more = None
+    def _pulls_more(self, state: DecisionState, time_s: float, best: Hypothesis | None) -> Among | None:
+        """A motor that pulls more than it is asked to, or one of two above each other, while that explains best. What
+        it makes of the flight looks like losses of others then, and later like another that pulls more: the first
+        stays."""
+        found: tuple[tuple[int, ...], ...] = ()
+        if best is not None and best.more >= 0:
+            place = () if self._mates is None else self._mates.place((best.more,))
+            found = (place or (best.more,),)
+            if state.more is not None and state.more.told:
+                found = state.more.sets
+        return followed(state.more, time_s, found, self.tuning)
 
     def _among(self, state: DecisionState, time_s: float, best: Hypothesis | None) -> Among | None:
         """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it

@@ -56,7 +56,7 @@ class Estimate:
     events: list[Event]
     either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
     among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
-    more: tuple[int, ...] = ()  # index of the motor that pulls more than it is asked to
+    more: tuple[int, ...] = ()  # index of the motor that pulls more than asked; of two above each other: one of them
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
     bend: float = 0.0  # of the thrust curve (core/curve.py)

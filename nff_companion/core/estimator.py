@@ -131,8 +131,7 @@ class Estimator:
                 direct,
                 turned,
             )
-        told = decision.either != state.decision.either or decision.high != state.decision.high
-        if told or any(event.declared for event in events):
+        if any(event.declared for event in events) or decision.either != state.decision.either:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
         suspicious_since_s = None
@@ -141,7 +140,8 @@ class Estimator:
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
         among = decision.among if decision.among is not None and decision.among.told else None
-        if among is not None:
+        more = decision.more.sets[0] if decision.more is not None and decision.more.told else ()
+        if among is not None or more:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
         disturbance, side_drag = self._learn(state, seen, measurement, rate, effectiveness, decision.failed)
         balance = self._balanced(state, seen, measurement, rate, decision)
@@ -169,7 +169,7 @@ class Estimator:
         if decision.either:
             effectiveness = effectiveness.copy()
             effectiveness[list(decision.either)] = HALF
-        if decision.more is not None or decision.high:
+        if decision.more is not None:
             effectiveness = np.where(decision.failed, effectiveness, 1.0)  # what others seem to lack it does too much
         estimate = Estimate(
             effectiveness=effectiveness,
@@ -177,7 +177,7 @@ class Estimator:
             failed=decision.failed,
             either=decision.either,
             among=() if among is None else among.sets,
-            more=decision.high,
+            more=more,
             raw=seen.balanced + seen.unbalanced + seen.turned + state.curve.bend * seen.bent,
             residual=seen.residual,
             disturbance=seen.unbalanced + seen.expectation.believed,
@@ -199,10 +199,6 @@ class Estimator:
         filtered = self._filter.step(
             state.residual, measurement.gyro, measurement.specific_force, measurement.command, measurement.dt_s
         )
-        if state.decision.high:
-            pulls = filtered.thrust_shown.copy()
-            pulls[list(state.decision.high)] = 1.0
-            filtered = replace(filtered, thrust_shown=pulls)
         side_drag = self._filter.side_drag(filtered)
         matrix = self._filter.effectiveness_matrix(state.balance.matrix, side_drag, state.side_drag.share)
         thrust_left = filtered.thrust_shown
@@ -278,8 +274,7 @@ class Estimator:
             return self._decision.suspects(sums, failed, gamma), None, None
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         # Of one of two half is believed lost: where that one works again both seem to pull more.
-        known = (*state.decision.high, *state.decision.either)
-        best = self._decision.best(sums, failed, gamma, known)
+        best = self._decision.best(sums, failed, gamma, state.decision.either)
         return best is not None, best, direct
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
@@ -341,7 +336,6 @@ class Estimator:
             or decision.either
             or decision.among
             or decision.more
-            or decision.high
         ):
             return balance
         settling = time_s < state.fast_until_s

@@ -30,11 +30,13 @@ def singles(matrix: NDArray[np.float64], vector: NDArray[np.float64], gamma: flo
     return Scores(e=e[:, :, None], improvement=linear * e - 0.5 * diagonal * e * e)
 
 
-def more(vector: NDArray[np.float64], square: NDArray[np.float64]) -> NDArray[np.float64]:
+def more(vector: NDArray[np.float64], square: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Improvement (m,), at its best window, of each motor that pulls by up to its full thrust more than it is asked to:
-    one whose output is stuck, high. From q and the diagonal of S (K, m)."""
+    one whose output is stuck, high; and by how much of it (m,). From q and the diagonal of S (K, m)."""
     d = np.minimum(np.maximum(vector / (square + _TINY), 0.0), 1.0)
-    return np.asarray(np.maximum.reduce(vector * d - 0.5 * square * d * d, axis=0))
+    improvement = vector * d - 0.5 * square * d * d
+    best = improvement.argmax(axis=0)[None]
+    return np.take_along_axis(improvement, best, 0)[0], np.take_along_axis(d, best, 0)[0]
 
 
 def pairs(

@@ -1,5 +1,5 @@
-"""A motor that pulls more than it is asked to: told from the loss of those on the other side, and believed until it
-does not."""
+"""A motor that pulls more than it is asked to: told from the loss of those on the other side; while it is said, nobody
+else is blamed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
+from nff_companion.core import vehicle as vehicles
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
+from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
@@ -53,25 +55,47 @@ def test_a_loss_is_not_taken_for_the_opposite_motor_pulling_more(octo: Vehicle, 
     assert Decision(8, 4, TUNING).convincing(best)
 
 
-def test_it_is_believed_after_its_time_until_it_looks_lost(octo: Vehicle) -> None:
+def test_while_it_is_said_nobody_else_is_declared(octo: Vehicle) -> None:
     decision, state, events = Decision(8, 4, TUNING), DecisionState.start(8), list[Event]()
     more = decision.best(sums_of(octo, 0.5 * np.eye(8)[2]), NOBODY, 0.0)
     for k in range(60):
         state, new = decision.step(state, 0.005 * k, more, *QUIET)
         events += new
-        assert state.high == ((2,) if 0.005 * k >= TUNING.among_after_s - 1e-9 else ())
-    state, _ = decision.step(state, 0.4, None, *QUIET)
-    assert state.high == (2,)
-    lost = Hypothesis((2,), (1.0,), 60.0, 30.0, 0.95, 0.09)
-    state, new = decision.step(state, 0.5, lost, *QUIET)
-    assert (state.high, [*events, *new]) == ((), [])
+        assert state.more is not None
+        assert state.more.told == (0.005 * k >= TUNING.among_after_s - 1e-9)
+        assert state.more.sets == ((2,),)
+    lost = Hypothesis((5,), (1.0,), 60.0, 30.0, 0.95, 0.09)
+    for k in range(60, 120):
+        state, new = decision.step(state, 0.005 * k, lost, *QUIET)
+        events += new
+    assert events == []
+    for k in range(120, 400):  # not seen any more, and then it is over
+        state, new = decision.step(state, 0.005 * k, None, *QUIET)
+    assert state.more is None
+    for k in range(400, 410):
+        state, new = decision.step(state, 0.005 * k, lost, *QUIET)
+        if new:
+            break
+    assert [event.motor for event in new] == [6]
+
+
+def test_of_two_above_each_other_both_are_said() -> None:
+    coaxial = vehicles.load("coax-x8")
+    mates = Mates(coaxial, Tuning())
+    decision, state = Decision(8, 4, TUNING, mates), DecisionState.start(8)
+    best = Hypothesis((0,), (0.5,), 200.0, -100.0, 0.8, 0.2, more=2)
+    for k in range(40):
+        state, events = decision.step(state, 0.005 * k, best, *QUIET)
+        assert events == []
+    assert state.more is not None
+    assert state.more.sets == ((2, mates.of[2]),)
 
 
 def test_what_is_known_already_is_not_found_again(octo: Vehicle) -> None:
     sums = sums_of(octo, 0.5 * np.eye(8)[2])
     best = Decision(8, 4, TUNING).best(sums, NOBODY, 0.0, (2,))
     assert best is None or best.more != 2
-    assert hypotheses.more(np.zeros((1, 8)), np.ones((1, 8))).max() == 0.0
+    assert hypotheses.more(np.zeros((1, 8)), np.ones((1, 8)))[0].max() == 0.0
     plain = Decision(8, 4, TUNING).best(replace(sums, more=None, more_square=None), NOBODY, 0.0)
     assert plain is not None
     assert plain.more == -1

@@ -80,6 +80,12 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     among_hold_s: Annotated[
         float, span(0.05, 10.0, "s", "for which a set outlives what shows it: a moment in which one of them leads")
     ] = 1.0
+    more_improvement_min: Annotated[
+        float, span(8.0, 500.0, "nats", "over no failure, by which a motor is said to pull more than it is asked to")
+    ] = 60.0
+    more_min: Annotated[float, span(0.05, 0.9, "", "of its full thrust, that it pulls more: gusts look like less")] = (
+        0.3
+    )
     alike_max: Annotated[int, span(2, 28, "sets", "that are said at most, the best first")] = 4
     pair_min: Annotated[
         float, span(1.0, 100.0, "nats", "that only a second motor brings: a pair explains more of anything")

@@ -160,7 +160,7 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
     for motor, time_s in more.items():
         if motor in case.motors and time_s >= case.at_s:
             right[motor] = min(right.get(motor, math.inf), time_s)
-        else:
+        elif not set(more) & set(case.motors):
             wrong = sorted({*wrong, motor})
     whole = set(case.motors) <= set(right)
     return {
