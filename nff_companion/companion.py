@@ -266,7 +266,9 @@ class Companion:
         before = state.estimate
         gyro, force = sample.gyro_rad_s, sample.specific_force_m_s2
         if before is None:
-            before = self._estimator.start(sample.time_s, gyro, force, command, state.failed)
+            # After a gap, or a restart in the air, what is off may be a motor that failed meanwhile.
+            took_off = not state.phase.flew and state.phase.ground_m is not None
+            before = self._estimator.start(sample.time_s, gyro, force, command, state.failed, takes_off=took_off)
         plan, error = state.planning.plan or self._planner.healthy, state.loop.memory.tracking_error
         measurement = Measurement(
             time_s=sample.time_s,

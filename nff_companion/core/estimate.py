@@ -32,6 +32,7 @@ class EstimatorState:
     decision: DecisionState
     started_s: float
     fast_until_s: float  # the disturbance is learnt quickly
+    begin_until_s: float  # what is off is off by the file, and no failure
     quiet_since_s: float | None  # y has been small, in that time
     suspicious_since_s: float | None
     solved_s: float

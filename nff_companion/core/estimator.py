@@ -74,8 +74,11 @@ class Estimator:
         specific_force: NDArray[np.float64],
         command: NDArray[np.float64],
         failed: NDArray[np.bool_] | None = None,
+        *,
+        takes_off: bool = False,
     ) -> EstimatorState:
-        """State at the first sample of a flight; ``failed`` (m,) bool are declarations taken over."""
+        """State at the first sample of a flight, or after a gap of one; ``failed`` (m,) bool are declarations taken
+        over. ``takes_off``: it has just left the ground, so that what is off now is off by the file."""
         m = self.vehicle.motors
         decision = DecisionState.start(m)
         if failed is not None:
@@ -92,6 +95,7 @@ class Estimator:
             decision=decision,
             started_s=time_s,
             fast_until_s=time_s + self.tuning.estimator.learn_fast_s,
+            begin_until_s=time_s + self.tuning.estimator.begin_s if takes_off else -math.inf,
             quiet_since_s=None,
             suspicious_since_s=None,
             solved_s=-math.inf,
@@ -114,7 +118,7 @@ class Estimator:
         decision, events = state.decision, list[Event]()
         if self.identify:
             suspected, best, direct = self._weigh(state, seen, onset, measurement)
-            if self._begins(state, time_s):
+            if time_s < state.begin_until_s:
                 suspected, best = False, None
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
@@ -160,6 +164,7 @@ class Estimator:
             decision=decision,
             started_s=state.started_s,
             fast_until_s=fast_until_s,
+            begin_until_s=state.begin_until_s,
             quiet_since_s=quiet_since_s,
             suspicious_since_s=suspicious_since_s,
             solved_s=solved_s,
@@ -357,10 +362,6 @@ class Estimator:
         each = zip(eta, declared, lost, strict=True)
         return np.array([e if gone else (e - 1.0 if few and low else 0.0) for e, gone, low in each])
 
-    def _begins(self, state: EstimatorState, time_s: float) -> bool:
-        """In the first moments of a flight: what is off in them is off by the file, and no failure of that moment."""
-        return time_s - state.started_s < self.tuning.estimator.begin_s
-
     def _settling(self, state: EstimatorState, seen: Seen, time_s: float) -> tuple[float, float | None]:
         """Until when the start of a flight is learnt quickly, and since when y has been small: once it is, what comes
         quickly is no error of the file, and must not be learnt away before it is weighed."""
@@ -381,7 +382,7 @@ class Estimator:
             sure = best is not None and best.explained > o.sure_explained
             longest = o.freeze_sure_s if sure else o.freeze_max_s
             return 0.0 if time_s - suspicious_since_s < longest else o.doubtful_rate
-        if self._begins(state, time_s):
+        if time_s < state.begin_until_s:
             return o.begin_rate
         return o.learn_fast_rate if time_s < state.fast_until_s else 1.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -99,3 +100,17 @@ def test_a_motor_at_full_output_is_said_and_nobody_else_is_blamed() -> None:
     assert companion.events == []
     assert "motor 3 pulls more than asked: LAND" in [verdict.text for verdict in said if verdict.reason == Reason.MORE]
     assert not companion.output.degraded.any()
+
+
+def test_a_motor_that_fails_while_no_telemetry_comes_is_no_error_of_the_file() -> None:
+    seeds, end_s = list(range(50, 54)), 6.3
+    faults = [Fault(vehicle=k, motor=k + 1, start_s=6.0, kind="total") for k in range(len(seeds))]
+    flight = started("octo-x", seeds, faults, height_m=40.0)
+    while flight.fleet.time_s < 7.0:
+        flight.step()
+        if 5.98 < flight.fleet.time_s < end_s:
+            for companion in flight.companions:
+                companion.down.receive(math.inf)  # lost
+    for k, companion in enumerate(flight.companions):
+        assert [event.motor for _, event in companion.events] == [k + 1]
+        assert companion.events[0][0] - end_s < 0.1

@@ -86,6 +86,8 @@ class ImmEstimator:
         specific_force: NDArray[np.float64],
         command: NDArray[np.float64],
         failed: NDArray[np.bool_] | None = None,
+        *,
+        takes_off: bool = False,
     ) -> ImmState:
         """State at the first sample."""
         decision = DecisionState.start(self.vehicle.motors)
