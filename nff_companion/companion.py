@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner
+from nff_companion.allocation.probe import Prober
 from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output, trusts
 from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
 from nff_companion.control.law import Knowledge
@@ -61,7 +62,7 @@ class Companion:
             else parts.estimator(vehicle, self._dt_s)
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
-        self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target)
+        self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target, Prober(vehicle, o))
         # Without a network neither the matrix in force nor what the vehicle does has a part in the estimate.
         self._only_judges = parts.judged and basis is None
         self._loop = OverrideLoop(vehicle, o.law, o.override)
@@ -239,7 +240,8 @@ class Companion:
         planning, adapted = state.planning, state.adapted
         if trusted and not self._only_judges:
             partial = self._fits_closely(fit, confirmed=state.confirmed)
-            planning = self._planner.step(planning, time_s, estimate, trust_partial=partial)
+            driven = override is not None
+            planning = self._planner.step(planning, time_s, estimate, trust_partial=partial, driven=driven)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(

@@ -81,6 +81,7 @@ class Reason(Enum):
     EITHER = (63, "reallocated: motor {} lost")
     EITHER_NO_YAW = (63, "reallocated: motor {} lost, yaw given up")
     AMONG = (63, "motors {} lost, not told which: LAND")
+    PROBING = (63, "motors {} lost: testing which")
     MORE = (63, "motor {} pulls more than asked: LAND")
     PARTIAL = (63, "reallocated a partial loss")
     PARTIAL_NO_YAW = (63, "reallocated a partial loss, yaw given up")

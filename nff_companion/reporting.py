@@ -211,6 +211,7 @@ class Reporter:
             "failed": numbers(output.failed),
             "either": list(output.either),
             "among": [list(motors) for motors in output.among],
+            "probing": output.probing,
             "more": list(output.more),
             "events": list(self._events),
             "notes": [note.text for note in output.notes],

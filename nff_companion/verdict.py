@@ -64,7 +64,10 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
         return Statement(Reason.NOT_WATCHING, parts.name)
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
-    among = Statement(Reason.AMONG, " or ".join("+".join(map(str, motors)) for motors in output.among))
+    among = Statement(
+        Reason.PROBING if output.probing else Reason.AMONG,
+        " or ".join("+".join(map(str, motors)) for motors in output.among),
+    )
     high = Statement(Reason.MORE, " or ".join(map(str, output.more)))
     if not _anything(output):
         return among if output.among else high if output.more else Statement(Reason.HEALTHY)

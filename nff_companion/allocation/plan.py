@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nff_companion.allocation import Allocator, authority, problem_for
 from nff_companion.allocation.lift import balanced_thrust
+from nff_companion.allocation.problem import Problem
 from nff_companion.allocation.verify import fault_of
 from nff_companion.condition import read_only
 from nff_companion.core.tuning import DEFAULT, PlannerTuning
@@ -83,3 +84,17 @@ def make_plan(
             spare = plan  # good enough should giving up yaw not work
         reason = f"roll/pitch authority at hover only {least:.2f}"
     return spare or Refusal(reason=reason, lift=balanced_thrust(nominal, effectiveness) >= hover)
+
+
+def moved(
+    plan: Plan, by: NDArray[np.float64], thrust: float, hover: float, tuning: PlannerTuning = DEFAULT.planner
+) -> Plan | Refusal:
+    """``plan`` with motor thrusts moved by ``by`` (m,), which turns and lifts nothing, while the thrust asked for is
+    ``thrust``: through the column of thrust."""
+    matrix = np.array(plan.matrix)
+    matrix[:, 0] += by / thrust
+    kept = np.ones(len(plan.effectiveness), bool)
+    kept[list(plan.released)] = False
+    active = np.any(plan.effectiveness != 0.0, axis=0)
+    fault = fault_of(matrix, Problem(effectiveness=plan.effectiveness, hover=hover, active=active, kept=kept), tuning)
+    return replace(plan, matrix=read_only(matrix)) if fault is None else Refusal(reason=fault)

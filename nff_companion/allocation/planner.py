@@ -9,13 +9,14 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from nff_companion.allocation import Allocator
-from nff_companion.allocation.plan import Plan, Refusal, make_plan
+from nff_companion.allocation import Allocator, allocator
+from nff_companion.allocation.plan import Plan, Refusal, make_plan, moved
+from nff_companion.allocation.probe import Prober, ProbeState
 from nff_companion.core import sparse
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import HALF
 from nff_companion.core.tuning import PlannerTuning
-from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.vehicle import THRUST, Vehicle
 
 
 class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -31,11 +32,18 @@ class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     declared_s: float = -np.inf
     catching: bool = False
     untouched: bool = True  # all motors healthy, the autopilot's own allocation in force
+    probe: ProbeState = ProbeState()
+    settled: Plan | None = None  # the plan without the test that runs
 
     @property
     def degraded(self) -> NDArray[np.bool_]:
         """(m,) bool: allocated around; NaN, not yet planned, is not."""
         return self.planned_for < 1.0
+
+    @property
+    def probing(self) -> bool:
+        """Motors are being moved to tell which of them are lost."""
+        return self.probe.move is not None
 
 
 Target = Callable[[Estimate], NDArray[np.float64]]
@@ -45,13 +53,23 @@ class Planner:
     """Constants of one vehicle. ``target``: another rule for what to allocate for, of research; None: ours."""
 
     def __init__(
-        self, vehicle: Vehicle, allocate: Allocator, tuning: PlannerTuning | None = None, target: Target | None = None
+        self,
+        vehicle: Vehicle,
+        allocate: Allocator,
+        tuning: PlannerTuning | None = None,
+        target: Target | None = None,
+        prober: Prober | None = None,
     ) -> None:
+        """``prober`` None: what cannot be told apart is not tested."""
         self._vehicle, self._allocate, self._tuning = vehicle, allocate, tuning or PlannerTuning()
+        self._prober = prober
         self._given_target = target
         whole = np.ones(vehicle.motors)
         healthy = make_plan(allocate, vehicle.effectiveness, whole, vehicle.hover, tuning=self._tuning)
         self.healthy = healthy if isinstance(healthy, Plan) else None
+        # About what the autopilots' own mixers do: a test then moves nothing but what it means to.
+        stock = make_plan(allocator("pinv"), vehicle.effectiveness, whole, vehicle.hover, tuning=self._tuning)
+        self._stock = stock if isinstance(stock, Plan) else None
 
     def start(self) -> PlannerState:
         """All motors healthy."""
@@ -64,7 +82,7 @@ class Planner:
         return replace(
             start,
             planned_for=state.planned_for,
-            plan=state.plan,
+            plan=state.settled if state.probing else state.plan,
             refusal=state.refusal,
             rejected=state.rejected,
             untouched=state.untouched,
@@ -72,14 +90,27 @@ class Planner:
 
     def forgotten(self, state: PlannerState) -> PlannerState:
         """The next flight starts with all motors."""
-        return replace(state, plan=None, refusal=None, planned_for=np.ones_like(state.planned_for))
+        whole = np.ones_like(state.planned_for)
+        return replace(state, plan=None, settled=None, probe=ProbeState(), refusal=None, planned_for=whole)
 
     def step(
-        self, state: PlannerState, time_s: float, estimate: Estimate, *, trust_partial: bool = True
+        self,
+        state: PlannerState,
+        time_s: float,
+        estimate: Estimate,
+        *,
+        trust_partial: bool = True,
+        driven: bool = False,
     ) -> PlannerState:
         """Solve the allocation again when what is believed of the motors has moved; ``trust_partial`` False: what
-        begins to look like a partial loss may be an error of the model."""
+        begins to look like a partial loss may be an error of the model. ``driven``: the outputs are ours, by
+        ``healthy`` where no plan is in force; else the autopilot mixes."""
         o = self._tuning
+        if self._prober is not None and (estimate.among or state.probing):
+            mixed = self.healthy if driven else self._stock
+            state = self._probed(self._prober, mixed, state, time_s, estimate)
+            if estimate.among and ((state.planned_for == 0.0) == estimate.failed).all():
+                return state  # nothing is done about a guess
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any() and not estimate.either
         if clear and state.untouched:
@@ -105,6 +136,27 @@ class Planner:
         if not at_once and (change < o.resolve_change or time_s - state.planned_s < o.resolve_interval_s):
             return replace(state, untouched=clear and change == 0.0)
         return self._solved(replace(state, planned_s=time_s, planned_for=target), target, estimate)
+
+    def _probed(
+        self, prober: Prober, mixed: Plan | None, state: PlannerState, time_s: float, estimate: Estimate
+    ) -> PlannerState:
+        """With the test of which motors are lost that is due, on what is in force without it: a plan, or ``mixed``."""
+        settled = state.settled if state.probing else state.plan
+        mixed = settled or mixed
+        if mixed is None:
+            return state
+        probe = prober.step(state.probe, time_s, estimate, np.nan_to_num(state.planned_for, nan=1.0))
+        if probe is state.probe:
+            return state
+        if probe.move is None:
+            return replace(state, probe=probe.ended(probe.next_s), plan=settled, settled=None)
+        hover = self._vehicle.hover
+        asked = max(float(mixed.effectiveness[THRUST].dot(estimate.thrust_shown)), 0.5 * hover)
+        plan = moved(mixed, probe.sign * probe.move, asked, hover, self._tuning)
+        if isinstance(plan, Refusal):
+            ended = probe.ended(time_s + self._tuning.resolve_interval_s)
+            return replace(state, probe=ended, plan=settled, settled=None, rejected=state.rejected + 1)
+        return replace(state, probe=probe, plan=plan, settled=settled, untouched=False)
 
     def _solved(self, state: PlannerState, target: NDArray[np.float64], estimate: Estimate) -> PlannerState:
         """With the matrix for ``target`` (m,), or the reason that there is none."""

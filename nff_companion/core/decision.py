@@ -33,6 +33,7 @@ class Hypothesis:
     beside: float = 0.0  # margin over the next that is not of the same place (core/mates.py)
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
     more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
+    moved: bool = False  # told from others by how the residual moves (core/evidence.py)
     # This one and those that explain as well, the best first: sets of motors with their losses. Empty: it leads.
     alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
 
@@ -410,9 +411,10 @@ class Decision:
         """Whether it would be declared once it has led for long enough and there is room."""
         o = self.tuning
         settled = best.age_s > o.settled_s or len(best.motors) > 1
+        lead = o.moved_margin_min if best.moved else needed(best.improvement, o)
         return (
             best.improvement >= o.improvement_min
-            and best.margin >= needed(best.improvement, o)
+            and best.margin >= lead
             and best.explained >= o.explained_min
             and min(best.loss) >= o.loss_sudden
             and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)

@@ -13,6 +13,7 @@ from nff_companion.core.balance import BalanceState
 from nff_companion.core.curve import CurveState
 from nff_companion.core.decision import DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDragState
+from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualState
 
@@ -38,6 +39,7 @@ class EstimatorState:
     solved_s: float
     effectiveness: NDArray[np.float64]
     deviation: NDArray[np.float64]
+    evidence: Evidence | None = None  # while a set of losses cannot be told apart
 
 
 @dataclass(slots=True)
@@ -61,6 +63,17 @@ class Estimate:
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
     bend: float = 0.0  # of the thrust curve (core/curve.py)
+    variance: NDArray[np.float64] | None = None  # (n,) of the residual in steady flight; None: a peer that has none
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """What was made of the hypotheses: whether lost motors explain the last moments, the best such hypothesis, and the
+    one that rotor speeds name. None: none, or it does not matter which."""
+
+    suspected: bool = False
+    best: Hypothesis | None = None
+    direct: Hypothesis | None = None
 
 
 @dataclass(frozen=True, slots=True)

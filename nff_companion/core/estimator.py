@@ -23,7 +23,8 @@ from nff_companion.core.balance import Balance, BalanceState
 from nff_companion.core.curve import Curve
 from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
 from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
-from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen
+from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen, Weighed
+from nff_companion.core.evidence import Evidence
 from nff_companion.core.features import features
 from nff_companion.core.filters import lag_share
 from nff_companion.core.mates import HALF, Mates
@@ -61,6 +62,7 @@ class Estimator:
         self._balance = Balance(vehicle, o.balance, o.disturbance.correlation_s)
         self._curve = Curve(o.curve, o.disturbance.correlation_s)
         self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
+        self._per_sample = dt_s / o.disturbance.correlation_s
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
         mates = Mates(vehicle, o)
@@ -112,19 +114,20 @@ class Estimator:
             state = replace(state, decision=replace(state.decision, either=measurement.either))
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
-        best = direct = None
-        suspected = False
+        weighed, evidence, best = Weighed(), state.evidence, None
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
         decision, events = state.decision, list[Event]()
         if self.identify:
-            suspected, best, direct = self._weigh(state, seen, onset, measurement)
+            weighed = self._weigh(state, seen, onset, measurement)
             if time_s < state.begin_until_s:
-                suspected, best = False, None
+                weighed = Weighed()
+            weighed, evidence = self._longer(state, seen, weighed, time_s)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-            best, turned = self._placed(state, seen, best), None if best is None else self._onset.worked(onset)
+            best = self._placed(state, seen, weighed.best)
+            turned = None if best is None else self._onset.worked(onset)
             decision, events = self._decision.step(
                 decision,
                 time_s,
@@ -132,14 +135,14 @@ class Estimator:
                 effectiveness,
                 deviation,
                 measurement.command,
-                direct,
+                weighed.direct,
                 turned,
             )
         if any(event.declared for event in events) or decision.either != state.decision.either:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
         suspicious_since_s = None
-        if suspected:
+        if weighed.suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
@@ -170,6 +173,7 @@ class Estimator:
             solved_s=solved_s,
             effectiveness=effectiveness,
             deviation=deviation,
+            evidence=evidence if decision.among is not None and decision.among.told else None,
         )
         if decision.either:
             effectiveness = effectiveness.copy()
@@ -194,6 +198,7 @@ class Estimator:
             balance=state.balance.share,
             gain=state.balance.gain,
             bend=state.curve.bend,
+            variance=seen.variance,
         )
         _shut(estimate)
         return new, estimate
@@ -258,29 +263,49 @@ class Estimator:
         steady = state.steady + self._steady * (w - state.steady)
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
 
-    def _weigh(
-        self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement
-    ) -> tuple[bool, Hypothesis | None, Hypothesis | None]:
-        """Whether lost motors explain the last moments, the best such hypothesis, and the one that rotor speeds name;
-        None: none, or it does not matter which."""
+    def _weigh(self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement) -> Weighed:
+        """The hypotheses, where the residual is suspicious."""
         failed, stopped = state.decision.failed, measurement.stopped
         hint: tuple[int, ...] = ()
         if stopped is not None and True in stopped.tolist():
             hint = tuple(np.flatnonzero(stopped & ~failed).tolist())
         largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
         if not hint and largest * self.tuning.disturbance.correlation_s <= self.tuning.estimator.suspicious**2:
-            return False, None, None
+            return Weighed()
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
         yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
         unknown = seen.variance + state.curve.variance * seen.bent * seen.bent
         sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, yaw_error)
         gamma = self.tuning.onset.gamma_onset
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
-            return self._decision.suspects(sums, failed, gamma), None, None
+            return Weighed(self._decision.suspects(sums, failed, gamma))
         direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         # Of one of two half is believed lost: where that one works again both seem to pull more.
         best = self._decision.best(sums, failed, gamma, state.decision.either)
-        return best is not None, best, direct
+        return Weighed(best is not None, best, direct)
+
+    def _longer(
+        self, state: EstimatorState, seen: Seen, weighed: Weighed, time_s: float
+    ) -> tuple[Weighed, Evidence | None]:
+        """While a set of losses cannot be told apart: with the one of them as the best by which the residual moves,
+        where that is certain."""
+        among, best, o = state.decision.among, weighed.best, self.tuning.decision
+        if among is None or not among.told:
+            return weighed, None
+        evidence = state.evidence or Evidence.none(self.vehicle.axes, self.vehicle.motors, time_s)
+        w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
+        each = matrix * (w - state.steady)
+        doubt = self.tuning.onset.single_error_share**2 * np.add.reduce(each * each, axis=1)
+        weight = self._per_sample / (seen.variance + doubt)
+        evidence = evidence.grown(time_s, matrix * w, seen.residual, weight, o.among_block_s)
+        sets = tuple(motors for motors in among.sets if len(motors) == 2)
+        if best is None or len(sets) < 2:
+            return weighed, evidence
+        motors, loss, ahead = evidence.told(sets, self.tuning.onset.gamma_onset)
+        told = replace(best, motors=motors, loss=loss, margin=ahead, beside=ahead, more=-1, moved=True, alike=())
+        if not self._decision.convincing(told):
+            return weighed, evidence
+        return replace(weighed, best=told), evidence
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
         """With the two motors above each other that ``best`` is about, where it cannot be told which."""
@@ -393,6 +418,6 @@ def _shut(estimate: Estimate) -> None:
     arrays = (e.effectiveness, e.deviation, e.failed, e.raw, e.residual, e.disturbance, e.thrust_shown, e.lateral_m_s2)
     for array in arrays if e.features is None else (*arrays, e.features):
         array.flags.writeable = False
-    for learnt in (e.balance, e.gain):
+    for learnt in (e.balance, e.gain, e.variance):
         if learnt is not None:
             learnt.flags.writeable = False

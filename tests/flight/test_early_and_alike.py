@@ -10,11 +10,14 @@ import pytest
 
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core.tuning import Tuning
 from sitl import airframe as plant_airframe
+from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials.first_seconds import TakeOff
-from sitl.trials.virtual import TrialOptions, VirtualFlight
+from sitl.trials.personality import prepared
+from sitl.trials.virtual import TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
 
@@ -73,21 +76,67 @@ def test_a_take_off_by_a_file_that_is_far_off_declares_nothing() -> None:
     assert flight.companions[0].events == []
 
 
-@pytest.mark.parametrize("lost", [(1, 2), (7, 8)])
-def test_opposite_motors_are_said_as_a_set_and_the_vehicle_is_left_as_it_flies(lost: tuple[int, int]) -> None:
-    faults = [Fault(vehicle=0, motor=motor, start_s=4.0, kind="total") for motor in lost]
-    flight = started("octo-x", [5], faults, level="calibrated", height_m=30.0)
-    said = set()
-    for _ in range(7 * AUTOPILOT_RATE_HZ):
-        flight.step()
-        moment = flight.companions[0].session.moment()
-        said.add(moment.verdict.reason)
-        assert not set(moment.output.failed.nonzero()[0] + 1) - set(lost)
-    assert Reason.AMONG in said or flight.companions[0].output.failed.any()
-    assert Reason.PARTIAL not in said
-    if Reason.AMONG in said and not flight.companions[0].output.failed.any():
-        assert lost in flight.companions[0].output.among
-    assert not flight.fleet.state.crashed.any()
+OPPOSITE = ((1, 2), (7, 8), (3, 6), (4, 5))  # of octo-x: two of each turn the yaw alone, to the same side
+FAILS_S = 4.0
+
+
+class Alike:
+    """Four vehicles that lose opposite pairs; ``said`` of each, ``named_s`` when, or inf, ``off_deg`` (cycles, 4) tilt
+    after the failure."""
+
+    def __init__(self, tuning: Tuning, airframe: str = "octo-x", personality: str = "plain") -> None:
+        n = len(OPPOSITE)
+        faults = [Fault(vehicle=k, motor=motor, start_s=FAILS_S) for k, lost in enumerate(OPPOSITE) for motor in lost]
+        options = FleetOptions(
+            seeds=[5 + k for k in range(n)],
+            model_error=0.1,
+            uncertainty=LEVELS["calibrated"](),
+            wind_m_s=4.0,
+            turbulence_m_s=1.0,
+            height_m=30.0,
+        )
+        plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=n)
+        trials = dict.fromkeys(range(n), TrialOptions(mode=Mode.ALLOCATE, tuning=tuning))
+        self.said: list[set[Reason]] = [set() for _ in range(n)]
+        self.named_s, tilts = np.full(n, math.inf), []
+        with temporary_card() as card:
+            ready = prepared(personality, vehicles.load(airframe), TrialOptions().allocation, card)
+            fleet = Fleet(plants, options, faults)
+            self.flight = VirtualFlight(fleet, trials, airframe=airframe, workshop=ready.workshop, px4=ready.px4)
+            for _ in range(round(6.5 * AUTOPILOT_RATE_HZ)):
+                self.flight.step()
+                if fleet.time_s > FAILS_S:
+                    tilts.append(np.degrees(rotation.tilt_of(fleet.state.quaternion)))
+                for k, companion in enumerate(self.flight.companions):
+                    output = companion.output
+                    self.said[k].add(companion.session.moment().verdict.reason)
+                    named = set((output.failed.nonzero()[0] + 1).tolist())
+                    assert named <= set(OPPOSITE[k])
+                    assert OPPOSITE[k] in output.among or not output.among
+                    if named:
+                        self.named_s[k] = min(self.named_s[k], fleet.time_s - FAILS_S)
+        self.tilt_deg = np.array(tilts)
+        assert not fleet.state.crashed.any()
+
+
+LEFT_ALONE = Tuning().having("probe", thrust_max=0.0)
+
+
+@pytest.mark.parametrize(("airframe", "personality"), [("octo-x", "plain"), ("arducopter-octa-x", "ardupilot")])
+def test_opposite_motors_are_told_apart_by_a_test_that_the_vehicle_hardly_feels(
+    airframe: str, personality: str
+) -> None:
+    tested, alone = (Alike(tuning, airframe, personality) for tuning in (Tuning(), LEFT_ALONE))
+    asked = [Reason.PROBING in said for said in tested.said]
+    assert any(asked)
+    for k, probed in enumerate(asked):
+        assert Reason.PROBING not in alone.said[k]
+        assert Reason.PARTIAL not in tested.said[k] | alone.said[k]
+        if not probed:
+            continue
+        assert tested.named_s[k] < 1.0
+        until = round(tested.named_s[k] * AUTOPILOT_RATE_HZ)
+        assert np.abs(tested.tilt_deg - alone.tilt_deg)[:until, k].max() < 1.0
 
 
 def test_a_motor_at_full_output_is_said_and_nobody_else_is_blamed() -> None:

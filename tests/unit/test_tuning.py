@@ -33,7 +33,18 @@ WITHOUT_CONSTANTS = [
         not in {"airframe_file", "rotors", "network_file", "toml_file", "vehicle", "features", "sample_rate"}
     ),
 ]
-GUARDS = {"_ITERATIONS", "_INFINITE", "_TINY", "_SPEED_MAX_M_S", "_SUM_MAX", "NOUGHT", "HALF"}
+GUARDS = {
+    "_ITERATIONS",
+    "_INFINITE",
+    "_TINY",
+    "_SPEED_MAX_M_S",
+    "_SUM_MAX",
+    "NOUGHT",
+    "HALF",
+    "_NULL",
+    "_ROUNDS",
+    "_PATTERN",
+}
 
 
 def load(tmp_path: Path, *lines: str) -> configuration.Config:

@@ -86,7 +86,19 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     assert len(said.text.encode()) <= 50  # what a pilot's screen takes at once
     assert verdict(output, condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
-    assert Reporter(octo, None, 1).document(moment, 0.0, [])["among"] == [[1, 2], [7, 8]]
+    document = Reporter(octo, None, 1).document(moment, 0.0, [])
+    assert (document["among"], document["probing"]) == ([[1, 2], [7, 8]], False)
+
+
+def test_a_test_of_which_motors_are_lost_is_said(octo: Vehicle, plan: Plan) -> None:
+    output, condition = wanting(among=((1, 2), (7, 8)), plan=plan, probing=True), holding(Source.MATRIX)
+    said = verdict(output, condition, Mode.ALLOCATE, FLOWN, None)
+    assert (said.reason, said.text) == (Reason.PROBING, "motors 1+2 or 7+8 lost: testing which")
+    moment = Moment(output, condition, Mode.ALLOCATE, said, None)
+    assert Reporter(octo, None, 1).document(moment, 0.0, [])["probing"]
+    # A test that the autopilot does not take is not claimed.
+    late = verdict(output, holding(Source.STOCK), Mode.ALLOCATE, FLOWN, 1.0)
+    assert late.reason == Reason.NOT_CONFIRMED
 
 
 def test_what_is_wanted_and_not_confirmed_is_said_after_its_time_and_never_claimed(plan: Plan) -> None:

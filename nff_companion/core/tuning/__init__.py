@@ -17,6 +17,7 @@ from nff_companion.core.tuning.action import (
     LawTuning,
     OverrideTuning,
     PlannerTuning,
+    ProbeTuning,
 )
 from nff_companion.core.tuning.decision import DecisionTuning, EstimatorTuning, OnsetTuning, RotorSpeedTuning
 from nff_companion.core.tuning.estimation import (
@@ -50,6 +51,7 @@ __all__ = [
     "OnsetTuning",
     "OverrideTuning",
     "PlannerTuning",
+    "ProbeTuning",
     "ProposalTuning",
     "ResidualTuning",
     "RotorSpeedTuning",
@@ -79,6 +81,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     fit: FitTuning = FitTuning()
     proposal: ProposalTuning = ProposalTuning()
     planner: PlannerTuning = PlannerTuning()
+    probe: ProbeTuning = ProbeTuning()
     override: OverrideTuning = OverrideTuning()
     law: LawTuning = LawTuning()
     companion: CompanionTuning = CompanionTuning()

@@ -162,6 +162,31 @@ class LawTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ] = 0.15
 
 
+class ProbeTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How motors are moved to tell which of them are lost (allocation/probe.py)."""
+
+    thrust_max: Annotated[
+        float, span(0.0, 0.2, "", "of its full thrust, by which a motor is moved at most; 0: nothing is tested")
+    ] = 0.15
+    thrust_left: Annotated[
+        float, span(0.0, 0.3, "", "of its full thrust, that each motor keeps below and above: it goes on controlling")
+    ] = 0.05
+    tilt_max_deg: Annotated[
+        float, span(0.1, 5.0, "deg", "by which that turns the vehicle, whichever of the sets is lost")
+    ] = 0.7
+    part_s: Annotated[
+        float, span(0.03, 0.5, "s", "of each of the four parts of a test: longer than the motors' lag and the link's")
+    ] = 0.06
+    deviations: Annotated[
+        float, span(3.0, 50.0, "deviations", "of the residual, between what two sets say: 10 are mistaken once in 3e6")
+    ] = 14.0
+    deviations_min: Annotated[
+        float, span(0.5, 20.0, "deviations", "below which a test would say nothing, and is not made")
+    ] = 2.0
+    tests_max: Annotated[int, span(1, 100, "tests", "in a row; then the vehicle is left in peace")] = 6
+    rest_s: Annotated[float, span(0.5, 600.0, "s", "for as long as this")] = 5.0
+
+
 class CompanionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which samples are used, and when the companion may act (admission.py, companion.py)."""
 

@@ -80,6 +80,13 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     among_hold_s: Annotated[
         float, span(0.05, 10.0, "s", "for which a set outlives what shows it: a moment in which one of them leads")
     ] = 1.0
+    moved_margin_min: Annotated[
+        float,
+        span(2.0, 100.0, "nats", "over the next of a set, and over none, by how the residual moves with the motors"),
+    ] = 8.0
+    among_block_s: Annotated[
+        float, span(0.1, 5.0, "s", "of flight whose mean is no evidence in telling a set apart: as long as a test")
+    ] = 0.24
     more_improvement_min: Annotated[
         float, span(8.0, 500.0, "nats", "over no failure, by which a motor is said to pull more than it is asked to")
     ] = 60.0

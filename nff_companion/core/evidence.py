@@ -1,0 +1,98 @@
+"""What has been seen since a set of losses was first said that cannot be told apart: how the residual changes.
+
+Each of the sets explains what the residual is, by losses of its own; what the model has wrong of that is the same at
+every moment. What tells them apart is how the residual moves when the motors do, by a test or by the way that the
+vehicle flies: sums over blocks, in each of which the mean is left out. They grow for as long as the doubt lasts, where
+the windows of the onsets end after a fifth of a second. Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nff_companion.core import hypotheses
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Of losses x = B0 diag(w) (n, m) and y (n,), weighted: S (m, m), q (m,), and per axis of the weights (n,), x (n,
+    m), y (n,)."""
+
+    matrix: NDArray[np.float64]
+    vector: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    lost: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+    @staticmethod
+    def none(axes: int, motors: int) -> Sums:
+        """Of no sample."""
+        n, m = axes, motors
+        return Sums(np.zeros((m, m)), np.zeros(m), np.zeros(n), np.zeros((n, m)), np.zeros(n))
+
+    def grown(self, lost: NDArray[np.float64], residual: NDArray[np.float64], weight: NDArray[np.float64]) -> Sums:
+        """With one sample: x (n, m), y (n,) and the diagonal (n,) of W."""
+        weighted = lost * weight[:, None]
+        return Sums(
+            matrix=self.matrix + weighted.T.dot(lost),
+            vector=self.vector + residual.dot(weighted),
+            weight=self.weight + weight,
+            lost=self.lost + weighted,
+            residual=self.residual + weight * residual,
+        )
+
+    def changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """S and q of what differs from the mean."""
+        mean = self.lost / np.maximum(self.weight, 1e-300)[:, None]
+        return self.matrix - mean.T.dot(self.lost), self.vector - self.residual.dot(mean)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """``whole``: of all samples; ``block``: of those since ``begun_s``; S (m, m) and q (m,) of the changes within the
+    blocks before."""
+
+    whole: Sums
+    block: Sums
+    begun_s: float
+    matrix: NDArray[np.float64]
+    vector: NDArray[np.float64]
+
+    @staticmethod
+    def none(axes: int, motors: int, time_s: float) -> Evidence:
+        """Nothing seen yet."""
+        empty = Sums.none(axes, motors)
+        return Evidence(empty, empty, time_s, np.zeros((motors, motors)), np.zeros(motors))
+
+    def grown(
+        self,
+        time_s: float,
+        lost: NDArray[np.float64],
+        residual: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        block_s: float,
+    ) -> Evidence:
+        """With one sample, as ``Sums.grown``; a block lasts ``block_s``."""
+        whole, block = self.whole.grown(lost, residual, weight), self.block.grown(lost, residual, weight)
+        if time_s - self.begun_s < block_s:
+            return Evidence(whole, block, self.begun_s, self.matrix, self.vector)
+        matrix, vector = block.changes()
+        empty = Sums.none(*lost.shape)
+        return Evidence(whole, empty, time_s, self.matrix + matrix, self.vector + vector)
+
+    def told(self, sets: tuple[tuple[int, ...], ...], gamma: float) -> tuple[tuple[int, ...], tuple[float, ...], float]:
+        """The pair of ``sets`` (indices) by which the residual moves, its losses, and by how many nats it is ahead of
+        the next one, and of that none is lost."""
+        pairs = np.array(sets)
+        found = hypotheses.pairs(self.whole.matrix[None], self.whole.vector[None], gamma, pairs[:, 0], pairs[:, 1])
+        matrix, vector = self.block.changes()
+        matrix, vector = self.matrix + matrix, self.vector + vector
+        improvement = np.zeros(len(sets) + 1)
+        for k, (motors, e) in enumerate(zip(pairs, found.e[0], strict=True)):
+            improvement[k] = vector[motors].dot(e) - 0.5 * e.dot(matrix[np.ix_(motors, motors)]).dot(e)
+        best = int(improvement[:-1].argmax())
+        ahead = float(improvement[best] - np.delete(improvement, best).max())
+        return sets[best], tuple((-found.e[0, best]).tolist()), ahead

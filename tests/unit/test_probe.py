@@ -1,0 +1,253 @@
+"""Motors moved to tell which of them are lost: nothing that a whole vehicle feels, bounded, and never for long."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from nff_companion.allocation import allocator
+from nff_companion.allocation.planner import Planner, PlannerState
+from nff_companion.allocation.probe import Prober, ProbeState
+from nff_companion.autopilots.schedule import Declare, Load, ScheduleState, steps
+from nff_companion.companion import Companion
+from nff_companion.condition import Condition, Mode
+from nff_companion.core import vehicle as vehicles
+from nff_companion.core.estimate import Estimate
+from nff_companion.core.tuning import Tuning
+from nff_companion.core.vehicle import PITCH, ROLL, Vehicle
+from nff_companion.outcome import Outcome
+
+TUNING = Tuning()
+PROBE = TUNING.probe
+OPPOSITE = ((0, 1), (6, 7))  # of an octorotor X of ArduPilot
+VARIANCE = np.array([0.37, 1.07, 1.07, 0.1]) ** 2
+DT_S = 0.005
+
+
+def seen(vehicle: Vehicle, among: tuple[tuple[int, ...], ...], failed: tuple[int, ...] = ()) -> Estimate:
+    nothing, gone = np.zeros(vehicle.axes), np.zeros(vehicle.motors, bool)
+    gone[list(failed)] = True
+    return Estimate(
+        effectiveness=np.where(gone, 0.0, 1.0),
+        deviation=np.full(vehicle.motors, 0.02),
+        failed=gone,
+        raw=nothing,
+        residual=nothing,
+        disturbance=nothing,
+        features=None,
+        thrust_shown=np.full(vehicle.motors, vehicle.hover),
+        lateral_m_s2=np.zeros(2),
+        best=None,
+        events=[],
+        among=among,
+        variance=VARIANCE,
+    )
+
+
+def full(motors: int, *sets: tuple[int, ...]) -> list[NDArray[np.float64]]:
+    return [np.isin(np.arange(motors), chosen).astype(float) for chosen in sets]
+
+
+def largest_angle(vehicle: Vehicle) -> float:
+    """To which a movement of 1 rad/s^2 turns a vehicle whose motors lag, in rad."""
+    acceleration = rate = angle = largest = 0.0
+    step_s = 1e-4
+    for k in range(round(8.0 * PROBE.part_s / step_s)):
+        part = int(k * step_s / PROBE.part_s)
+        asked = (1.0, -1.0, -1.0, 1.0)[part] if part < 4 else 0.0
+        acceleration += step_s / vehicle.lag_s[0] * (asked - acceleration)
+        rate += step_s * acceleration
+        angle += step_s * rate
+        largest = max(largest, abs(angle))
+    return largest
+
+
+@pytest.mark.parametrize("name", vehicles.names())
+def test_a_whole_vehicle_feels_nothing_and_every_bound_holds(name: str, rng: np.random.Generator) -> None:
+    vehicle = vehicles.load(name)
+    prober, m = Prober(vehicle, TUNING), vehicle.motors
+    pairs = list(combinations(range(m), 2))
+    matrix, moved, angle = vehicle.acceleration_effectiveness, 0, largest_angle(vehicle)
+    for _ in range(200):
+        chosen = rng.choice(len(pairs), size=int(rng.integers(2, 5)), replace=False)
+        losses = [rng.uniform(0.4, 1.0) * loss for loss in full(m, *(pairs[k] for k in chosen))]
+        effectiveness, thrust = np.ones(m), rng.uniform(0.1, 0.95, m)
+        if rng.random() < 0.3:
+            effectiveness[int(rng.integers(m))] = 0.0
+        move = prober.movement(losses, thrust, rng.uniform(0.3, 3.0, vehicle.axes) * VARIANCE, effectiveness)
+        if move is None:
+            continue
+        moved += 1
+        assert np.abs(matrix.dot(move)).max() < 1e-9 * np.abs(matrix).max()
+        assert (move[effectiveness == 0.0] == 0.0).all()
+        assert np.abs(move).max() <= PROBE.thrust_max + 1e-12
+        used = np.abs(move) > 1e-6 * np.abs(move).max()
+        for sign in (1.0, -1.0):
+            after = (thrust + sign * move)[used]
+            assert after.min() >= PROBE.thrust_left - 1e-9
+            assert after.max() <= 1.0 - PROBE.thrust_left + 1e-9
+        for loss in losses:
+            turned = np.linalg.norm((matrix * effectiveness * loss).dot(move)[ROLL : PITCH + 1])
+            assert math.degrees(turned * angle) <= 1.01 * PROBE.tilt_max_deg
+    assert moved or m <= vehicle.axes + 2  # a hexarotor has two ways to move, of which a pair may share both
+
+
+def test_what_is_felt_is_another_thing_by_each_explanation(octo: Vehicle) -> None:
+    losses = full(octo.motors, *OPPOSITE)
+    move = Prober(octo, TUNING).movement(losses, np.full(octo.motors, octo.hover), VARIANCE, np.ones(octo.motors))
+    assert move is not None
+    one, other = (-(octo.acceleration_effectiveness * loss).dot(move) for loss in losses)
+    apart = (one - other) / np.sqrt(VARIANCE)
+    assert np.linalg.norm(apart) > 3.0
+    # The same motors in another order, and quieter air: no more than is asked for.
+    quiet = Prober(octo, TUNING).movement(
+        losses, np.full(octo.motors, octo.hover), 1e-4 * VARIANCE, np.ones(octo.motors)
+    )
+    assert quiet is not None
+    assert np.abs(quiet).max() < 0.1 * np.abs(move).max()
+
+
+@pytest.mark.parametrize(
+    ("sets", "changes"),
+    [
+        ((OPPOSITE[0],), {}),  # nothing to tell apart
+        ((OPPOSITE[0], OPPOSITE[0]), {}),  # the same
+        (OPPOSITE, {"thrust_max": 0.0}),  # not wanted
+    ],
+)
+def test_nothing_is_moved_where_it_would_say_nothing_or_is_not_wanted(
+    octo: Vehicle, sets: tuple[tuple[int, ...], ...], changes: dict[str, float]
+) -> None:
+    prober = Prober(octo, TUNING.having("probe", **changes))
+    thrust = np.full(octo.motors, octo.hover)
+    assert prober.movement(full(octo.motors, *sets), thrust, VARIANCE, np.ones(octo.motors)) is None
+
+
+def test_a_saturated_motor_is_left_alone_and_the_test_made_later(octo: Vehicle) -> None:
+    prober, estimate = Prober(octo, TUNING), seen(octo, OPPOSITE)
+    estimate.thrust_shown = np.full(octo.motors, 0.99)
+    state = prober.step(ProbeState(), 10.0, estimate, np.ones(octo.motors))
+    assert state.move is None
+    estimate.thrust_shown = np.full(octo.motors, octo.hover)
+    later_s = 10.0 + 4.0 * PROBE.part_s
+    assert prober.step(state, later_s - DT_S, estimate, np.ones(octo.motors)).move is None
+    assert prober.step(state, later_s, estimate, np.ones(octo.motors)).move is not None
+
+
+def test_rate_and_attitude_are_what_they_were_after_a_test(octo: Vehicle) -> None:
+    prober, estimate, state = Prober(octo, TUNING), seen(octo, OPPOSITE), ProbeState()
+    rate = angle = most = 0.0
+    for k in range(round(4.0 * PROBE.part_s / DT_S)):
+        state = prober.step(state, DT_S * k, estimate, np.ones(octo.motors))
+        assert state.tests == 1
+        angle += DT_S * rate + 0.5 * DT_S**2 * state.sign
+        rate += DT_S * state.sign
+        most = max(most, abs(angle))
+    assert (rate, angle) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert most == pytest.approx(PROBE.part_s**2, rel=0.01)
+
+
+def test_it_ends_when_the_set_does_and_rests_after_some_in_a_row(octo: Vehicle) -> None:
+    prober, whole = Prober(octo, TUNING), np.ones(octo.motors)
+    state = prober.step(ProbeState(), 0.0, seen(octo, OPPOSITE), whole)
+    assert state.move is not None
+    assert prober.step(state, DT_S, seen(octo, ()), whole).move is None
+    begun, state, end_s = list[float](), ProbeState(), 3.0 * PROBE.rest_s
+    for k in range(round(end_s / DT_S)):
+        before, state = state, prober.step(state, DT_S * k, seen(octo, OPPOSITE), whole)
+        if state.begun_s != before.begun_s:
+            begun.append(DT_S * k)
+    gaps = np.diff(begun)
+    row = 4.0 * PROBE.part_s
+    assert set(np.round(gaps, 3)) == {round(row, 3), round(row + PROBE.rest_s, 3)}
+    assert np.flatnonzero(gaps > PROBE.rest_s)[0] == PROBE.tests_max - 1
+    assert np.diff(np.flatnonzero(gaps > PROBE.rest_s)).tolist()[:1] in ([], [PROBE.tests_max])
+
+
+def flown(planner: Planner, octo: Vehicle, seconds: float, estimate: Estimate) -> list[PlannerState]:
+    states = [planner.start()]
+    for k in range(round(seconds / DT_S)):
+        states.append(planner.step(states[-1], DT_S * k, estimate))
+    return states[1:]
+
+
+def test_the_matrix_of_a_test_is_checked_and_goes_when_the_test_ends(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    states = flown(planner, octo, 0.2, seen(octo, OPPOSITE))
+    plans = {id(state.plan): state.plan for state in states}
+    assert len(plans) == 3  # forth, back, forth: a new one only when the sign changes, each sent at once
+    for plan in plans.values():
+        assert plan is not None
+        assert np.allclose(octo.effectiveness @ plan.matrix, np.eye(octo.axes), atol=1e-9)
+        assert not plan.matrix.flags.writeable
+    assert states[-1].probing
+    assert not states[-1].degraded.any()
+    over = planner.step(states[-1], 0.2, seen(octo, ()))
+    assert (over.plan, over.probing) == (None, False)
+    interrupted = planner.interrupted(states[-1])
+    assert (interrupted.plan, interrupted.probing) == (None, False)
+    forgotten = planner.forgotten(states[-1])
+    assert (forgotten.plan, forgotten.probing, forgotten.settled) == (None, False, None)
+
+
+@pytest.mark.parametrize(
+    ("mode", "takes_matrix", "tested"),
+    [
+        (Mode.ALLOCATE, True, True),
+        (Mode.OVERRIDE, True, True),
+        (Mode.ALLOCATE, False, False),
+        (Mode.OBSERVE, True, False),
+    ],
+)
+def test_a_test_is_sent_where_a_matrix_is_taken_and_we_may_act(
+    octo: Vehicle, mode: Mode, takes_matrix: bool, tested: bool
+) -> None:
+    planner, estimate = Planner(octo, allocator("trim"), prober=Prober(octo, TUNING)), seen(octo, OPPOSITE)
+    planning = planner.step(planner.start(), 0.0, estimate)
+    state = replace(Companion(octo, 200.0).start(mode), planning=planning, trouble=None)
+    condition = Condition(armed=True, takes_matrix=takes_matrix)
+    output = Outcome(octo.motors, octo.axes).output(state, condition, 0.0, estimate, None, ())
+    assert output.probing == tested
+    _, commands = steps(ScheduleState.start(octo.motors), output, condition, 0.0)
+    loaded = [command.plan for command in commands if isinstance(command, Load)]
+    assert loaded == ([planning.plan] if tested else [])
+    assert not any(isinstance(command, Declare) for command in commands)
+
+
+def test_what_was_allocated_for_an_earlier_failure_stays_under_and_after_a_test(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    lost = seen(octo, (), failed=(2,))
+    state = planner.step(planner.start(), 0.0, lost)
+    settled = state.plan
+    assert settled is not None
+    state = planner.step(state, DT_S, seen(octo, OPPOSITE, failed=(2,)))
+    assert state.probing
+    assert state.plan is not None
+    assert state.plan is not settled
+    assert (state.plan.matrix[2] == 0.0).all()
+    assert (planner.interrupted(state).plan, planner.step(state, 2 * DT_S, lost).plan) == (settled, settled)
+
+
+def test_a_motor_lifted_in_a_test_is_allocated_again(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    state = planner.step(planner.start(), 0.0, seen(octo, (), failed=(2,)))
+    state = planner.step(state, DT_S, seen(octo, OPPOSITE, failed=(2,)))
+    state = planner.step(state, 1.0, seen(octo, OPPOSITE))
+    assert (state.planned_for == 1.0).all()
+
+
+def test_a_matrix_that_does_not_pass_the_check_is_not_sent(octo: Vehicle) -> None:
+    """The gain that is allowed is between that of the autopilot's own mixing and that of the test."""
+    whole = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    plan = whole.step(whole.start(), 0.0, seen(octo, OPPOSITE)).plan
+    assert plan is not None
+    tight = replace(TUNING.planner, gain_max=0.999 * float(np.abs(plan.matrix).max()))
+    planner = Planner(octo, allocator("trim"), tight, prober=Prober(octo, TUNING))
+    state = planner.step(planner.start(), 0.0, seen(octo, OPPOSITE))
+    assert (state.plan, state.probing, state.rejected) == (None, False, 1)
+    assert planner.step(state, DT_S, seen(octo, OPPOSITE)).rejected == 1  # not at every sample
