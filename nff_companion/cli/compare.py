@@ -23,6 +23,9 @@ def compare(
             " published-no-shaping."
         ),
     ] = "full",
+    level: Annotated[
+        str, typer.Option(help="How far off the file is: exact, calibrated, geometry or estimated.")
+    ] = "calibrated",
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 2.0,
     draw: Annotated[Path | None, typer.Option(help="Folder for figures 5, 6 and 7.")] = None,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
@@ -32,6 +35,7 @@ def compare(
     from sitl.trials.paper.figures import document
     from sitl.trials.paper.run import run
     from sitl.trials.paper.scenario import CONTROLLERS, PaperOptions, variants
+    from sitl.uncertainty import LEVELS
 
     if scenario != "paper":
         raise ConfigError(f"scenario {scenario!r} is unknown: choose paper")
@@ -39,11 +43,15 @@ def compare(
     unknown = set(chosen) - set(CONTROLLERS)
     if unknown:
         raise ConfigError(f"controller {min(unknown)!r} is unknown: choose among {', '.join(CONTROLLERS)}")
+    if level not in LEVELS:
+        raise ConfigError(f"level {level!r} is unknown: choose one of {', '.join(LEVELS)}")
     if variant not in variants():
         raise ConfigError(f"variant {variant!r} is unknown: choose one of {', '.join(variants())}")
     if variant == "no-phi" and network not in ("airframe", "none"):
         raise ConfigError(f"--variant no-phi flies without a network: leave --network {network} out")
-    options = PaperOptions(seeds=seeds, wind_m_s=wind, network=network, variant=variant, controllers=chosen)
+    options = PaperOptions(
+        seeds=seeds, wind_m_s=wind, network=network, level=level, variant=variant, controllers=chosen
+    )
     traces = run(options, workers or None)
     result = document(traces)
     if draw is not None:

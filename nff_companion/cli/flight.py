@@ -54,6 +54,9 @@ def sitl(
     fail: Annotated[list[str] | None, typer.Option("--fail", help="MOTOR@SECONDS; may be given several times.")] = None,
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 0.0,
     model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 0.0,
+    level: Annotated[
+        str, typer.Option(help="How far off its file it is in all else: exact, calibrated, geometry or estimated.")
+    ] = "exact",
     height: Annotated[float, typer.Option(help="Start in the air at this height in m; 0: on the ground.")] = 0.0,
     latency: Annotated[float, typer.Option(help="Latency of the link in ms.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Jitter of the link in ms.")] = 0.0,
@@ -84,6 +87,8 @@ def sitl(
     if personality not in ("plain", "ardupilot", "px4"):
         raise ConfigError(f"personality {personality!r} is unknown: choose plain, ardupilot or px4")
     px4: dict[str, float] | None = {} if personality == "px4" else None
+    if (serve_px4 or serve_ardupilot) and level != "exact":
+        raise ConfigError("--level is for the vehicle that nff sitl flies itself: leave it out with --serve-...")
     if serve_px4 or serve_ardupilot:
         from sitl.trials.serve import ServeOptions, serve
 
@@ -108,7 +113,10 @@ def sitl(
     from sitl.link_model import LinkOptions
     from sitl.server import Server
     from sitl.trials.demo import crash_report
+    from sitl.uncertainty import LEVELS
 
+    if level not in LEVELS:
+        raise ConfigError(f"level {level!r} is unknown: choose one of {', '.join(LEVELS)}")
     setup_logging()
     urls = endpoint or ["udpout:127.0.0.1:14561", "udpout:127.0.0.1:14540"]
     faults = [Fault(vehicle=0, motor=m, start_s=s) for m, s in parse_failures(fail or [])]
@@ -117,6 +125,7 @@ def sitl(
         wind_m_s=wind,
         turbulence_m_s=0.25 * wind,
         model_error=0.01 * model_error,
+        uncertainty=LEVELS[level](),
         height_m=height,
     )
     plant = plant_airframe.load(vehicle.path_of(airframe), thrust_to_weight=thrust_to_weight or None)

@@ -33,7 +33,7 @@ def survey(
     model_error: Annotated[float, typer.Option(help="Errors of mass, inertia, thrust in percent.")] = 10.0,
     level: Annotated[
         str, typer.Option(help="How far off the file is in all else: exact, calibrated, geometry or estimated.")
-    ] = "exact",
+    ] = "calibrated",
     wind: Annotated[float, typer.Option(help="Mean wind in m/s; turbulence is a quarter of it.")] = 4.0,
     speed: Annotated[float, typer.Option(help="Flight speed in m/s; 0: hover.")] = 0.0,
     forward: Annotated[bool, typer.Option("--forward", help="Legs of up to 12 m/s in all directions.")] = False,

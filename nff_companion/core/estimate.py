@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from nff_companion.core import sparse
 from nff_companion.core.balance import BalanceState
 from nff_companion.core.curve import CurveState
-from nff_companion.core.decision import DecisionState, Event, Hypothesis
+from nff_companion.core.decision import DecisionState, Event
 from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDragState
 from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualState
+from nff_companion.core.weighing import Hypothesis
 
 
 @dataclass(slots=True)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nff_companion.core import sparse
 from nff_companion.core.balance import Balance, BalanceState
 from nff_companion.core.curve import Curve
-from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState, Event
 from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen, Weighed
 from nff_companion.core.evidence import Evidence
@@ -32,6 +32,7 @@ from nff_companion.core.onset import OnsetBank, OnsetState
 from nff_companion.core.residual import ResidualFilter
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, YAW, Vehicle
+from nff_companion.core.weighing import Hypothesis, Weighing
 from nff_companion.errors import SolverError
 
 __all__ = ["Estimate", "Estimator", "EstimatorState", "Measurement", "Motion"]
@@ -67,6 +68,7 @@ class Estimator:
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
         mates = Mates(vehicle, o)
         self._mates = mates if mates.any and not judged else None  # a log's verdict names a motor
+        self._weighing = Weighing(vehicle.motors, o.decision, self._mates)
         self._decision = Decision(vehicle.motors, vehicle.axes, o.decision, self._mates)
 
     def start(
@@ -278,10 +280,10 @@ class Estimator:
         sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, yaw_error)
         gamma = self.tuning.onset.gamma_onset
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
-            return Weighed(self._decision.suspects(sums, failed, gamma))
-        direct = self._decision.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
+            return Weighed(self._weighing.suspects(sums, failed, gamma))
+        direct = self._weighing.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         # Of one of two half is believed lost: where that one works again both seem to pull more.
-        best = self._decision.best(sums, failed, gamma, state.decision.either)
+        best = self._weighing.best(sums, failed, gamma, state.decision.either)
         return Weighed(best is not None, best, direct)
 
     def _longer(

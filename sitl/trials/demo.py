@@ -22,8 +22,12 @@ from sitl.server import Server
 from sitl.trials import machine as machines
 from sitl.trials.machine import Figures
 from sitl.trials.process import DaemonProcess, config_text, free_port, keep_files
+from sitl.uncertainty import Uncertainty
 
 HEIGHT_M = 10.0
+MODEL_ERROR = (
+    0.1  # of mass, inertia and thrust: the companion knows its vehicle as well as one does after a calibration
+)
 FLY_ON_S = 12.0
 _RECORD_EVERY = 8  # cycles
 _START_TIMEOUT_S = 30.0
@@ -149,7 +153,12 @@ def make_fleet(options: DemoOptions) -> Fleet:
     nominal = plant_airframe.load(vehicle_model.path_of(options.airframe))
     faults = [Fault(vehicle=0, motor=motor, start_s=at) for motor, at in options.failures]
     fleet_options = FleetOptions(
-        seeds=[options.seed], wind_m_s=options.wind_m_s, turbulence_m_s=0.25 * options.wind_m_s, height_m=HEIGHT_M
+        seeds=[options.seed],
+        wind_m_s=options.wind_m_s,
+        turbulence_m_s=0.25 * options.wind_m_s,
+        model_error=MODEL_ERROR,
+        uncertainty=Uncertainty.calibrated(),
+        height_m=HEIGHT_M,
     )
     return Fleet(nominal, fleet_options, faults)
 

@@ -61,7 +61,7 @@ class SurveyOptions:
     forward: bool = False  # legs of up to 12 m/s instead of hover, or of the healthy script
     network: str = "airframe"
     joint: float = 0.0
-    level: str = "exact"  # of what the file says beside mass, inertia and thrust: how far off it is
+    level: str = "calibrated"  # of what the file says beside mass, inertia and thrust: how far off it is
 
 
 @dataclass(slots=True)

@@ -13,11 +13,12 @@ from nff_companion.companion import Companion
 from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import hypotheses, vehicle
-from nff_companion.core.decision import Decision, Event
+from nff_companion.core.decision import Event
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.parts import FLOWN, Parts
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Weighing
 
 
 def stretches(model: Vehicle, rng: np.random.Generator) -> list[Sample]:
@@ -53,13 +54,13 @@ def test_a_judge_finds_the_same_bits_as_what_flies(
     model = vehicle.load(name)
     samples = stretches(model, rng)
     short: list[bool] = []
-    suspects = Decision.suspects
+    suspects = Weighing.suspects
 
     def counted(*given: Any) -> bool:
         short.append(True)
         return suspects(*given)
 
-    monkeypatch.setattr(Decision, "suspects", counted)
+    monkeypatch.setattr(Weighing, "suspects", counted)
     events: list[Event] = []
     both = zip(flown(model, samples, FLOWN), flown(model, samples, Parts(judged=True)), strict=True)
     for real, judged in both:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from nff_companion.core import vehicle
 from nff_companion.core.ambiguity import Among, followed, needed
-from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState, Event
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Hypothesis, Weighing
 
 TUNING = Tuning().decision
 OPPOSITE = ((0, 1), (6, 7))  # of octo-x: either pair turns the yaw alone, to the same side
@@ -31,7 +32,7 @@ def sums_of(octo: Vehicle, loss: NDArray[np.float64], noise: NDArray[np.float64]
 
 def stepped(octo: Vehicle, loss: NDArray[np.float64], seconds: float) -> tuple[DecisionState, list[Event]]:
     decision, state, events = Decision(8, 4, TUNING), DecisionState.start(8), list[Event]()
-    best = decision.best(sums_of(octo, loss), np.zeros(8, bool), 0.0)
+    best = Weighing(8, TUNING).best(sums_of(octo, loss), np.zeros(8, bool), 0.0)
     for k in range(round(seconds / 0.005)):
         state, new = decision.step(state, 0.005 * k, best, *QUIET)
         events += new
@@ -89,7 +90,7 @@ def test_partial_losses_alone_are_no_set(octo: Vehicle) -> None:
 def test_a_declaration_ends_a_set(octo: Vehicle) -> None:
     decision, zero = Decision(8, 4, TUNING), np.zeros(8, bool)
     state = DecisionState(failed=zero, among=Among(OPPOSITE, 0.0, 1.0, told=True))
-    best = decision.best(sums_of(vehicle.load("octo-x"), np.eye(8)[3]), zero, 0.0)
+    best = Weighing(8, TUNING).best(sums_of(vehicle.load("octo-x"), np.eye(8)[3]), zero, 0.0)
     assert best is not None
     for k in range(10):
         state, events = decision.step(state, 1.0 + 0.005 * k, best, *QUIET)

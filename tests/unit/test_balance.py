@@ -10,9 +10,10 @@ import pytest
 
 from nff_companion.core.airframe_file import AirframeFile
 from nff_companion.core.balance import Balance, of_vehicle
-from nff_companion.core.decision import Decision, DecisionState, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, PITCH, ROLL, THRUST, Vehicle, path_of
+from nff_companion.core.weighing import Hypothesis
 
 TUNING = Tuning()
 CORRELATION_S = TUNING.disturbance.correlation_s

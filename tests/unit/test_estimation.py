@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from nff_companion.core import hypotheses, sparse
-from nff_companion.core.decision import Decision, DecisionState, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.disturbance import Disturbance, SideDragState, learn_side_drag
 from nff_companion.core.filters import LowPass, lag_share, loss_response
 from nff_companion.core.onset import OnsetBank
 from nff_companion.core.residual import ResidualFilter
 from nff_companion.core.tuning import SparseTuning, Tuning
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Hypothesis
 from nff_companion.errors import SolverError
 
 DT = 0.005

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nff_companion.core.decision import Decision, Hypothesis
+from nff_companion.core.decision import Decision
 from nff_companion.core.evidence import Evidence, Sums
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Hypothesis
 
 TUNING = Tuning().decision
 SETS = ((0, 1), (6, 7), (2, 5))

@@ -13,11 +13,12 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.allocation.planner import Planner
 from nff_companion.companion import Companion
 from nff_companion.core import vehicle as vehicles
-from nff_companion.core.decision import Decision, DecisionState, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import Mates
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import PITCH, ROLL, Vehicle
+from nff_companion.core.weighing import Hypothesis
 
 TUNING = Tuning()
 COAX = {1: 6, 2: 5, 3: 8, 4: 7}

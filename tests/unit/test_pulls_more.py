@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
 from nff_companion.core import vehicle as vehicles
-from nff_companion.core.decision import Decision, DecisionState, Event, Hypothesis
+from nff_companion.core.decision import Decision, DecisionState, Event
 from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Hypothesis, Weighing
 
 TUNING = Tuning().decision
 NOBODY = np.zeros(8, bool)
@@ -40,7 +41,7 @@ def sums_of(octo: Vehicle, thrust: NDArray[np.float64]) -> OnsetSums:
 
 @pytest.mark.parametrize("motor", range(8))
 def test_full_thrust_is_told_from_the_loss_of_the_opposite_motor(octo: Vehicle, motor: int) -> None:
-    best = Decision(8, 4, TUNING).best(sums_of(octo, 0.5 * np.eye(8)[motor]), NOBODY, 0.0)
+    best = Weighing(8, TUNING).best(sums_of(octo, 0.5 * np.eye(8)[motor]), NOBODY, 0.0)
     assert best is not None
     assert best.more == motor
     assert best.margin < 0.0
@@ -49,7 +50,7 @@ def test_full_thrust_is_told_from_the_loss_of_the_opposite_motor(octo: Vehicle, 
 
 @pytest.mark.parametrize("motor", range(8))
 def test_a_loss_is_not_taken_for_the_opposite_motor_pulling_more(octo: Vehicle, motor: int) -> None:
-    best = Decision(8, 4, TUNING).best(sums_of(octo, -octo.hover * np.eye(8)[motor]), NOBODY, 0.0)
+    best = Weighing(8, TUNING).best(sums_of(octo, -octo.hover * np.eye(8)[motor]), NOBODY, 0.0)
     assert best is not None
     assert (best.motors, best.more) == ((motor,), -1)
     assert Decision(8, 4, TUNING).convincing(best)
@@ -57,7 +58,7 @@ def test_a_loss_is_not_taken_for_the_opposite_motor_pulling_more(octo: Vehicle, 
 
 def test_while_it_is_said_nobody_else_is_declared(octo: Vehicle) -> None:
     decision, state, events = Decision(8, 4, TUNING), DecisionState.start(8), list[Event]()
-    more = decision.best(sums_of(octo, 0.5 * np.eye(8)[2]), NOBODY, 0.0)
+    more = Weighing(8, TUNING).best(sums_of(octo, 0.5 * np.eye(8)[2]), NOBODY, 0.0)
     for k in range(60):
         state, new = decision.step(state, 0.005 * k, more, *QUIET)
         events += new
@@ -93,9 +94,9 @@ def test_of_two_above_each_other_both_are_said() -> None:
 
 def test_what_is_known_already_is_not_found_again(octo: Vehicle) -> None:
     sums = sums_of(octo, 0.5 * np.eye(8)[2])
-    best = Decision(8, 4, TUNING).best(sums, NOBODY, 0.0, (2,))
+    best = Weighing(8, TUNING).best(sums, NOBODY, 0.0, (2,))
     assert best is None or best.more != 2
     assert hypotheses.more(np.zeros((1, 8)), np.ones((1, 8)))[0].max() == 0.0
-    plain = Decision(8, 4, TUNING).best(replace(sums, more=None, more_square=None), NOBODY, 0.0)
+    plain = Weighing(8, TUNING).best(replace(sums, more=None, more_square=None), NOBODY, 0.0)
     assert plain is not None
     assert plain.more == -1

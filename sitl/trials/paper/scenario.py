@@ -23,6 +23,7 @@ from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials.research.laws import LAWS, shaped, unshaped
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
+from sitl.uncertainty import LEVELS
 
 AIRFRAME = "paper-octo"
 CONTROLLERS = tuple(LAWS)
@@ -49,6 +50,7 @@ class PaperOptions:
     wind_m_s: float = 2.0
     turbulence_share: float = 0.25
     network: str = "airframe"
+    level: str = "calibrated"  # how far off the airframe file is, beside mass, inertia and thrust
     variant: str = "full"
     controllers: tuple[str, ...] = CONTROLLERS
 
@@ -126,6 +128,7 @@ def fly(options: PaperOptions, cases: list[Case]) -> list[Trace]:
         FleetOptions(
             seeds=seeds,
             model_error=options.model_error,
+            uncertainty=LEVELS[options.level](),
             wind_m_s=options.wind_m_s,
             turbulence_m_s=options.turbulence_share * options.wind_m_s,
             height_m=HEIGHT_M,
