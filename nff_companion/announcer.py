@@ -14,6 +14,13 @@ _SAID = {
     Reason.REALLOCATED: _WARNING,
     Reason.REALLOCATED_NO_YAW: _WARNING,
     Reason.STOPPED: _WARNING,
+    Reason.EITHER: _CRITICAL,
+    Reason.EITHER_NO_YAW: _CRITICAL,
+    Reason.AMONG: _CRITICAL,
+    Reason.PROBING: _WARNING,
+    Reason.MORE: _CRITICAL,
+    Reason.PARTIAL: _WARNING,
+    Reason.PARTIAL_NO_YAW: _WARNING,
     Reason.NO_LIFT: _CRITICAL,
     Reason.NO_PLAN: _CRITICAL,
     Reason.NOT_TOLD: _CRITICAL,
@@ -27,6 +34,15 @@ _SAID = {
     Reason.TELEMETRY_STOPPED: _ERROR,
     Reason.ANOTHER_SYSTEM: _ERROR,
 }
+# Of these the motors are the news: other ones are said anew.
+_OF_MOTORS = {
+    Reason.EITHER,
+    Reason.EITHER_NO_YAW,
+    Reason.AMONG,
+    Reason.MORE,
+    Reason.PARTIAL,
+    Reason.PARTIAL_NO_YAW,
+}
 _LENGTH = 50
 
 
@@ -35,7 +51,7 @@ class Announcer:
 
     def __init__(self) -> None:
         self._text = PilotText()
-        self._last: Reason | None = None
+        self._last: Statement | None = None
 
     def event(self, event: Event, now_s: float) -> list[Message]:
         """A declaration, or its lifting."""
@@ -46,8 +62,11 @@ class Announcer:
 
     def verdict(self, said: Statement, now_s: float) -> list[Message]:
         """When it begins; a verdict that goes on is in the status."""
-        before, self._last = self._last, said.reason
-        if said.reason is before or said.reason not in _SAID:
+        before, self._last = self._last, said
+        if said.reason not in _SAID:
+            return []
+        goes_on = before is not None and said.reason is before.reason
+        if goes_on and not (said.reason in _OF_MOTORS and said != before):
             return []
         return self._text.say(f"NFF: {said.text}"[:_LENGTH], _SAID[said.reason], now_s)
 

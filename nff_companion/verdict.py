@@ -58,17 +58,14 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     trouble = first(output.obstacle, untold)
     if trouble is not None:
         return trouble
-    if asked == Mode.OBSERVE:
-        return Statement(Reason.OBSERVING)
+    among = Statement(Reason.PROBING if output.probing else Reason.AMONG, _sets(output))
+    high = Statement(Reason.MORE, " or ".join(map(str, output.more)))
+    if asked == Mode.OBSERVE:  # what nothing is done about anyway is said all the same
+        return among if output.among else high if output.more else Statement(Reason.OBSERVING)
     if not parts.identify:
         return Statement(Reason.NOT_WATCHING, parts.name)
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
-    among = Statement(
-        Reason.PROBING if output.probing else Reason.AMONG,
-        " or ".join("+".join(map(str, motors)) for motors in output.among),
-    )
-    high = Statement(Reason.MORE, " or ".join(map(str, output.more)))
     if not _anything(output):
         return among if output.among else high if output.more else Statement(Reason.HEALTHY)
     motors = _listed(output.failed if output.failed.any() else output.degraded)
@@ -84,7 +81,11 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     if output.either:
         one = " or ".join(map(str, output.either))
         return Statement(Reason.EITHER_NO_YAW if no_yaw else Reason.EITHER, one)
-    return Statement(Reason.PARTIAL_NO_YAW if no_yaw else Reason.PARTIAL)
+    return Statement(Reason.PARTIAL_NO_YAW if no_yaw else Reason.PARTIAL, motors)
+
+
+def _sets(output: Output) -> str:
+    return " or ".join("+".join(map(str, motors)) for motors in output.among)
 
 
 def _anything(output: Output) -> bool:

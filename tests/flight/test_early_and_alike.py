@@ -147,7 +147,7 @@ def test_a_motor_at_full_output_is_said_and_nobody_else_is_blamed() -> None:
         if flight.fleet.cycle % (AUTOPILOT_RATE_HZ // 10) == 0:
             said.append(companion.session.moment().verdict)
     assert companion.events == []
-    assert "motor 3 pulls more than asked: LAND" in [verdict.text for verdict in said if verdict.reason == Reason.MORE]
+    assert "LAND: motor 3 pulls more than asked" in [verdict.text for verdict in said if verdict.reason == Reason.MORE]
     assert not companion.output.degraded.any()
 
 

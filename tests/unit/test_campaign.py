@@ -29,6 +29,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "wrong": [],
         "wrong_s": None,
         "changes": 1,
+        "partly": [],
         "partly_s": None,
         "says": "reallocated",
         "survived": True,
@@ -126,6 +127,17 @@ def test_counts_and_their_intervals() -> None:
     assert summary.at_most(0, 1000) == pytest.approx(3.0 / 1000, rel=0.01)
     assert summary.rate_at_most(0, 100.0) == pytest.approx(0.03, rel=0.01)
     assert summary.at_most(5, 5) == 1.0
+
+
+def test_a_working_motor_that_is_allocated_around_is_an_exception_and_a_partly_lost_one_is_not() -> None:
+    rows = [row(k) for k in range(3)]
+    works = next(motor for motor in range(1, 7) if motor not in rows[1]["motors"])
+    rows[1] |= {"partly": [works], "partly_s": 0.4}
+    rows[2] |= {"partly": list(rows[2]["motors"]), "partly_s": 0.4}
+    found = summary.document(rows)
+    assert (found["whole"]["partly"], found["whole"]["partly_wrong"]) == (2, 1)
+    assert [r["flight"] for r in found["exceptions"]] == [1]
+    assert str(works) in summary.exception(rows[1])
 
 
 def test_the_page_holds_each_exception_and_no_markup_of_others(tmp_path: Path) -> None:

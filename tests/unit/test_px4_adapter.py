@@ -249,7 +249,7 @@ def test_motors_that_cannot_carry_the_weight_are_said_so(tmp_path: Path) -> None
     px4 = FakePx4(model)
     adapter, now = in_flight(tmp_path, px4, model)
     tell(adapter, px4, without(model, (1, 2, 3, 5)), now)
-    assert untold(adapter.condition(now)) == (Reason.NO_LIFT, "the motors left cannot carry the weight: LAND")
+    assert untold(adapter.condition(now)) == (Reason.NO_LIFT, "LAND: the motors left cannot carry the weight")
 
 
 def test_what_was_untold_is_forgotten_when_it_no_longer_is(tmp_path: Path) -> None:

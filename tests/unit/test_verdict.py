@@ -82,9 +82,11 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     output = wanting(among=((1, 2), (7, 8)))
     condition = holding(Source.STOCK)
     said = verdict(output, condition, Mode.ALLOCATE, FLOWN, None)
-    assert (said.reason, said.text) == (Reason.AMONG, "motors 1+2 or 7+8 lost, not told which: LAND")
-    assert len(said.text.encode()) <= 50  # what a pilot's screen takes at once
-    assert verdict(output, condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
+    assert (said.reason, said.text) == (Reason.AMONG, "LAND: motors 1+2 or 7+8 lost, not told which")
+    assert len(said.text.encode()) <= 45  # what a pilot's screen takes at once, behind "NFF: "
+    assert verdict(output, condition, Mode.OBSERVE, FLOWN, None) == said
+    assert verdict(wanting(more=(3,)), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.MORE
+    assert verdict(wanting(), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
     document = Reporter(octo, None, 1).document(moment, 0.0, [])
     assert (document["among"], document["probing"]) == ([[1, 2], [7, 8]], False)
@@ -141,6 +143,13 @@ def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, 
         (Reason.TWIN, dialect.MAV_SEVERITY_ERROR, "companion"),
         (Reason.RATE, dialect.MAV_SEVERITY_ERROR, "Hz"),
         (Reason.TELEMETRY_STOPPED, dialect.MAV_SEVERITY_ERROR, "stopped"),
+        (Reason.EITHER, dialect.MAV_SEVERITY_CRITICAL, "lost"),
+        (Reason.EITHER_NO_YAW, dialect.MAV_SEVERITY_CRITICAL, "lost"),
+        (Reason.AMONG, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.MORE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.PROBING, dialect.MAV_SEVERITY_WARNING, "testing"),
+        (Reason.PARTIAL, dialect.MAV_SEVERITY_WARNING, "partial loss of motor x"),
+        (Reason.PARTIAL_NO_YAW, dialect.MAV_SEVERITY_WARNING, "motor x partly lost"),
     ],
 )
 def test_the_pilot_is_told_once_when_it_begins(reason: Reason, severity: int, word: str) -> None:
@@ -149,3 +158,29 @@ def test_the_pilot_is_told_once_when_it_begins(reason: Reason, severity: int, wo
     assert text.severity == severity
     assert word in str(text.text)
     assert announcer.verdict(said, 20.0) == []
+
+
+# What is not said because it goes without saying, is said otherwise, or is for the moment until something is.
+NOT_SAID = {Reason.OBSERVING, Reason.NOT_WATCHING, Reason.TELLING, Reason.HEALTHY}
+
+
+@pytest.mark.parametrize("reason", [reason for reason in Reason if 40 <= reason.priority < 50 or reason.priority >= 60])
+def test_whatever_is_believed_of_motors_or_done_about_them_reaches_the_pilot(reason: Reason) -> None:
+    if reason in NOT_SAID or reason.priority >= 70:  # notes are said as such
+        return
+    (text,) = Announcer().verdict(Statement(reason, "1"), 10.0)
+    assert len(str(text.text)) <= 50
+
+
+@pytest.mark.parametrize("reason", [Reason.AMONG, Reason.MORE, Reason.EITHER, Reason.PARTIAL])
+def test_other_motors_are_news(reason: Reason) -> None:
+    announcer = Announcer()
+    assert announcer.verdict(Statement(reason, "1+2 or 7+8"), 10.0)
+    assert announcer.verdict(Statement(reason, "1+2 or 7+8"), 12.0) == []
+    assert announcer.verdict(Statement(reason, "3+6 or 4+5"), 14.0)
+
+
+def test_that_one_should_land_is_not_cut_off() -> None:
+    for reason in (Reason.AMONG, Reason.MORE, Reason.NO_LIFT):
+        (text,) = Announcer().verdict(Statement(reason, "10+12 or 14+16 or 11+13 or 15+17"), 10.0)
+        assert "LAND" in str(text.text)

@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicles
+from nff_companion.verdict import numbers
 from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
@@ -20,6 +20,8 @@ from sitl.trials.campaign.scenario import FROM_GROUND, Case, Scenario, drawn
 from sitl.trials.personality import prepared
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
+
+NOT_IN_FULL = ("partial", "ramp", "intermittent", "stuck", "slow", "blade")  # of the kinds of fault
 
 
 def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
@@ -82,7 +84,7 @@ class Record:
         self._from_s, self._until_s = (np.array([getattr(case, key) for case in cases]) for key in ("at_s", "until_s"))
         self._tilt_rad, self._off_m, self._low_m = np.zeros(n), np.zeros(n), np.zeros(n)
         self.crashed = np.zeros(n, bool)
-        self.partly_s: list[float | None] = [None] * n  # when a partial loss was allocated around first
+        self.partly: list[dict[int, float]] = [{} for _ in range(n)]  # motors allocated around, and since when
         self.either: list[tuple[float, tuple[int, ...]]] = [(math.inf, ())] * n  # one of two motors, from when on
         self.among: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(math.inf, ())] * n  # the last sets, and since
 
@@ -113,8 +115,9 @@ class Record:
                 self.among[k] = min(self.among[k][0], fleet.time_s), among
             if either:
                 continue
-            if self.partly_s[k] is None and flies[k] and _partly(companion.output.degraded):
-                self.partly_s[k] = fleet.time_s
+            if flies[k] and True in companion.output.degraded.tolist():
+                for motor in numbers(companion.output.degraded):
+                    self.partly[k].setdefault(motor, fleet.time_s)
 
     def row(self, with_it: int, alone: int) -> dict[str, Any]:
         """Of a vehicle with the companion and the same without."""
@@ -125,10 +128,6 @@ class Record:
             out[f"{prefix}off_m"] = round(float(self._off_m[k]), 3)
             out[f"{prefix}low_m"] = round(float(self._low_m[k]), 3)
         return out
-
-
-def _partly(degraded: NDArray[np.bool_]) -> bool:
-    return True in degraded.tolist()
 
 
 def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
@@ -144,10 +143,11 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
 
 def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict[str, Any]:
     """What the companion of vehicle ``k`` said of it. ``delay_s``: from the failure until all motors that fail are
-    named: by themselves, as one of two above each other (``either``), or as pulling more than asked (``more``);
+    named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), or, where
+    they are not lost in full, as allocated around (``partly``, the first one at ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
     ``wrong``: motors named that work; ``changes``: declarations and lifts."""
-    partly_s, (either_s, one_of), among, more = record.partly_s[k], record.either[k], record.among[k], record.more[k]
+    partly, (either_s, one_of), among, more = record.partly[k], record.either[k], record.among[k], record.more[k]
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
     declared = [(time_s, event.motor) for time_s, event in events if event.declared]
     right = {motor: time_s for time_s, motor in reversed(declared) if motor in case.motors and time_s >= case.at_s}
@@ -162,6 +162,9 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
             right[motor] = min(right.get(motor, math.inf), time_s)
         elif not set(more) & set(case.motors):
             wrong = sorted({*wrong, motor})
+    for motor, time_s in partly.items():
+        if motor in case.motors and time_s >= case.at_s and case.fault in NOT_IN_FULL:
+            right[motor] = min(right.get(motor, math.inf), time_s)
     whole = set(case.motors) <= set(right)
     return {
         "named": sorted(right),
@@ -173,6 +176,7 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "wrong": wrong,
         "wrong_s": next((round(time_s, 3) for time_s, motor in declared if motor in wrong), None),
         "changes": len(events),
-        "partly_s": None if partly_s is None else round(partly_s - case.at_s, 4),
+        "partly": sorted(partly),
+        "partly_s": None if not partly else round(min(partly.values()) - case.at_s, 4),
         "says": companion.session.moment().verdict.text,
     }

@@ -21,6 +21,7 @@ _COLUMNS = {
     "delay_p99_s": "99 %, s",
     "delay_worst_s": "worst, s",
     "partly": "partly lost",
+    "partly_wrong": "of those working",
     "changes_most": "most changes",
     "survived": "flies on",
     "alone_survived": "alone",

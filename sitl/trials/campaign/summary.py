@@ -41,7 +41,8 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "missed_at_most": round(at_most(missed, len(failing)), 6) if failing else None,
         "sets": sets,  # of the missed: the failure is among the sets of motors that were said
         "either": sum(bool(row["either"]) for row in rows),  # named as one of two motors above each other
-        "partly": sum(row["partly_s"] is not None for row in rows),
+        "partly": sum(bool(row["partly"]) for row in rows),
+        "partly_wrong": sum(bool(set(row["partly"]) - set(row["motors"])) for row in rows),  # of a motor that works
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
         "hours": round(hours, 3),
         "delay_median_s": round(float(np.median(delays)), 4) if delays.size else None,
@@ -88,8 +89,9 @@ def exception(row: Row) -> str:
         return f"said as {sets}" if sets else "missed"
     if row["alone_survived"] and not row["survived"]:
         return "lost, though it flies on alone"
-    if row["fault"] == "none" and row["partly_s"] is not None:
-        return "a partial loss of a motor that works"
+    works = sorted(set(row["partly"]) - set(row["motors"]))
+    if works:
+        return f"allocated around {works}, which work"
     return ""
 
 
