@@ -142,6 +142,10 @@ class Reporter:
             dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, mode, state, 3
         )
 
+    def is_due(self, now_s: float) -> bool:
+        """Whether ``due`` has anything to say."""
+        return now_s >= min(self._next_effectiveness_s, self._next_status_s)
+
     def due(self, moment: Moment, now_s: float) -> list[Message]:
         """Messages to be sent at ``now_s``."""
         out: list[Message] = []

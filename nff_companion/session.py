@@ -419,7 +419,7 @@ class Session:
         able = self._options.act and not self.state.fault and self.state.mode != Mode.OBSERVE
         changed = self._link.claim(now_s, acting=self._acting(now_s), able=able)
         well = not self.state.fault
-        self._send_all(self._voice.due(self.moment(), self._link.rank, now_s, well=well, changed=changed))
+        self._send_all(self._voice.due(self.moment, self._link.rank, now_s, well=well, changed=changed))
 
     def _look(self, adapter: Adapter, now_s: float) -> None:
         """Once a second: ask for streams that do not come, and what the pilot should know of link and adapter."""

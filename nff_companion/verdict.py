@@ -10,6 +10,8 @@ from nff_companion.companion_state import Output
 from nff_companion.condition import Condition, Mode, Reason, Source, Statement, first
 from nff_companion.core.parts import Parts
 
+_HEALTHY = Statement(Reason.HEALTHY)
+
 
 def numbers(motors: NDArray[np.bool_]) -> list[int]:
     """Motors, from 1, of a mask (m,) bool."""
@@ -58,23 +60,22 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     trouble = first(output.obstacle, untold)
     if trouble is not None:
         return trouble
-    among = Statement(Reason.PROBING if output.probing else Reason.AMONG, _sets(output))
-    high = Statement(Reason.MORE, " or ".join(map(str, output.more)))
     if asked == Mode.OBSERVE:  # what nothing is done about anyway is said all the same
-        return among if output.among else high if output.more else Statement(Reason.OBSERVING)
+        return _undecided(output) or Statement(Reason.OBSERVING)
     if not parts.identify:
         return Statement(Reason.NOT_WATCHING, parts.name)
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
     if not _anything(output):
-        return among if output.among else high if output.more else Statement(Reason.HEALTHY)
+        return _undecided(output) or _HEALTHY
     motors = _listed(output.failed if output.failed.any() else output.degraded)
     if unconfirmed_s is not None:
         return Statement(Reason.TELLING, motors)
     if condition.takes_matrix and output.plan is None:
         return Statement(Reason.STOPPED, motors)
-    if output.among or output.more:
-        return among if output.among else high
+    undecided = _undecided(output)
+    if undecided is not None:
+        return undecided
     no_yaw = condition.in_force.yaw_released or (output.plan is not None and bool(output.plan.released))
     if output.failed.any():
         return Statement(Reason.REALLOCATED_NO_YAW if no_yaw else Reason.REALLOCATED, motors)
@@ -84,8 +85,12 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     return Statement(Reason.PARTIAL_NO_YAW if no_yaw else Reason.PARTIAL, motors)
 
 
-def _sets(output: Output) -> str:
-    return " or ".join("+".join(map(str, motors)) for motors in output.among)
+def _undecided(output: Output) -> Statement | None:
+    """What is believed of motors that nothing is done about."""
+    if output.among:
+        sets = " or ".join("+".join(map(str, motors)) for motors in output.among)
+        return Statement(Reason.PROBING if output.probing else Reason.AMONG, sets)
+    return Statement(Reason.MORE, " or ".join(map(str, output.more))) if output.more else None
 
 
 def _anything(output: Output) -> bool:

@@ -50,18 +50,22 @@ class Voice:
                 out += self._announcer.note(note, now_s, name)
         return out
 
-    def due(self, moment: Moment, rank: Rank, now_s: float, *, well: bool, changed: bool) -> list[Message]:
-        """Heartbeat, status, and how the computer fares. ``changed``: our rank, which others must know at once. A
-        companion that is not ``well`` (its estimator fails) has no heartbeat: whoever relies on it must see that."""
+    def due(
+        self, moment: Callable[[], Moment], rank: Rank, now_s: float, *, well: bool, changed: bool
+    ) -> list[Message]:
+        """Heartbeat, status, and how the computer fares; ``moment`` is asked for where something is due. ``changed``:
+        our rank, which others must know at once. A companion that is not ``well`` (its estimator fails) has no
+        heartbeat: whoever relies on it must see that."""
         out: list[Message] = []
         if changed:
             self._next_heartbeat_s = now_s
         if now_s >= self._next_heartbeat_s and well:
             self._next_heartbeat_s = now_s + _HEARTBEAT_S
-            out.append(self._reporter.heartbeat(moment.output, rank, act=self._act))
+            out.append(self._reporter.heartbeat(moment().output, rank, act=self._act))
         if not self._act:
             return out
-        out += self._reporter.due(moment, now_s)
+        if self._reporter.is_due(now_s):
+            out += self._reporter.due(moment(), now_s)
         if self._host_status is not None and now_s >= self._next_host_s:
             self._next_host_s = now_s + _HOST_S
             out.append(self._host_status())
