@@ -16,6 +16,7 @@ from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDr
 from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualState
+from nff_companion.core.second_look import SecondLook
 from nff_companion.core.weighing import Hypothesis
 
 
@@ -41,6 +42,7 @@ class EstimatorState:
     effectiveness: NDArray[np.float64]
     deviation: NDArray[np.float64]
     evidence: Evidence | None = None  # while a set of losses cannot be told apart
+    second_look: SecondLook | None = None  # for a moment after a declaration
 
 
 @dataclass(slots=True)

@@ -30,6 +30,7 @@ from nff_companion.core.filters import lag_share
 from nff_companion.core.mates import HALF, Mates
 from nff_companion.core.onset import OnsetBank, OnsetState
 from nff_companion.core.residual import ResidualFilter
+from nff_companion.core.second_look import SecondLook
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import GRAVITY_M_S2, YAW, Vehicle
 from nff_companion.core.weighing import Hypothesis, Weighing
@@ -140,6 +141,13 @@ class Estimator:
                 weighed.direct,
                 turned,
             )
+        second_look = state.second_look
+        if second_look is not None and not events:
+            decision, events, onset, second_look = self._looked_again(
+                second_look, state, seen, decision, onset, steady, time_s
+            )
+        elif events:
+            second_look = self._to_look_again(state, onset, events, weighed, time_s)
         if any(event.declared for event in events) or decision.either != state.decision.either:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
             information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
@@ -175,6 +183,7 @@ class Estimator:
             solved_s=solved_s,
             effectiveness=effectiveness,
             deviation=deviation,
+            second_look=second_look,
             evidence=evidence if decision.among is not None and decision.among.told else None,
         )
         if decision.either:
@@ -274,10 +283,8 @@ class Estimator:
         largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
         if not hint and largest * self.tuning.disturbance.correlation_s <= self.tuning.estimator.suspicious**2:
             return Weighed()
-        lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
-        yaw_error = state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2
         unknown = seen.variance + state.curve.variance * seen.bent * seen.bent
-        sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, yaw_error)
+        sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, self._yaw_error(state, seen))
         gamma = self.tuning.onset.gamma_onset
         if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
             return Weighed(self._weighing.suspects(sums, failed, gamma))
@@ -285,6 +292,12 @@ class Estimator:
         # Of one of two half is believed lost: where that one works again both seem to pull more.
         best = self._weighing.best(sums, failed, gamma, state.decision.either)
         return Weighed(best is not None, best, direct)
+
+    @staticmethod
+    def _yaw_error(state: EstimatorState, seen: Seen) -> float:
+        """Yaw torque not modelled, as a share of roll and pitch torque: the rotors' side drag."""
+        lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
+        return float(state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2)
 
     def _longer(
         self, state: EstimatorState, seen: Seen, weighed: Weighed, time_s: float
@@ -308,6 +321,42 @@ class Estimator:
         if not self._decision.convincing(told):
             return weighed, evidence
         return replace(weighed, best=told), evidence
+
+    def _to_look_again(
+        self, state: EstimatorState, onset: OnsetState, events: list[Event], weighed: Weighed, time_s: float
+    ) -> SecondLook | None:
+        """At a motor named by what the windows show, where two might have been."""
+        failed, best = state.decision.failed, weighed.best
+        if len(events) != 1 or not events[0].declared or best is None or weighed.direct is not None:
+            return None
+        motor = events[0].motor - 1
+        if best.motors != (motor,) or sum(failed.tolist()) + 2 > self._decision.failed_max:
+            return None
+        return SecondLook(onset, failed, motor, time_s + self.tuning.decision.second_look_s)
+
+    def _looked_again(
+        self,
+        look: SecondLook,
+        state: EstimatorState,
+        seen: Seen,
+        decision: DecisionState,
+        onset: OnsetState,
+        steady: NDArray[np.float64],
+        time_s: float,
+    ) -> tuple[DecisionState, list[Event], OnsetState, SecondLook | None]:
+        """Takes back what was just declared, where something else explains all that was seen since the loss began; the
+        windows then are those from before it."""
+        w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
+        residual = look.residual(seen.residual, matrix, w)
+        earlier = self._onset.push(look.onset, w, residual, matrix, steady)
+        if time_s >= look.until_s or not decision.failed[look.motor]:
+            return decision, [], onset, None
+        sums = self._onset.sums(earlier, matrix, seen.variance, self._yaw_error(state, seen))
+        behind = self._weighing.behind(sums, look.failed, look.motor, self.tuning.onset.gamma_onset)
+        if behind < 0.0:
+            return decision, [], onset, look
+        taken_back = replace(DecisionState.start(self.vehicle.motors), failed=look.failed, either=decision.either)
+        return taken_back, [Event(time_s, look.motor + 1, False, 1.0, 1.0)], earlier, None
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
         """With the two motors above each other that ``best`` is about, where it cannot be told which."""

@@ -127,6 +127,17 @@ class Weighing:
         two = (two_best[apart] - self.tuning.pair_min).tolist()
         return replace(found, beside=found.improvement - max([*elsewhere, *two], default=0.0))
 
+    def behind(self, sums: OnsetSums, failed: NDArray[np.bool_], motor: int, gamma: float) -> float:
+        """By how many nats, beyond what tells hypotheses apart, ``motor`` alone and every pair with it are behind the
+        best of the others; below 0: it goes on being believed."""
+        sums, _, one_best, _ = _alone(sums, failed, gamma)
+        pairs = self._pairs[~failed[self._pairs].any(axis=1)]
+        two = hypotheses.pairs(sums.matrix, sums.vector, gamma, pairs[:, 0], pairs[:, 1])
+        two_best, with_it = two.improvement.max(axis=0) - self.tuning.pair_min, (pairs == motor).any(axis=1)
+        believed = max([float(one_best[motor]), *two_best[with_it].tolist()])
+        other = max([*_beside(one_best, motor).tolist(), *two_best[~with_it].tolist()], default=0.0)
+        return float(other - believed - needed(other, self.tuning))
+
     def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:
         """Whether ``best`` finds any hypothesis."""
         _, _, one_best, first = _alone(sums, failed, gamma)

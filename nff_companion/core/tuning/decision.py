@@ -80,6 +80,9 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     among_hold_s: Annotated[
         float, span(0.05, 10.0, "s", "for which a set outlives what shows it: a moment in which one of them leads")
     ] = 1.0
+    second_look_s: Annotated[
+        float, span(0.0, 0.2, "s", "after a declaration, in which it is taken back where something else explains all")
+    ] = 0.12
     moved_margin_min: Annotated[
         float,
         span(2.0, 100.0, "nats", "over the next of a set, and over none, by how the residual moves with the motors"),
