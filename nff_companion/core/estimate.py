@@ -72,11 +72,12 @@ class Estimate:
 @dataclass(frozen=True, slots=True)
 class Weighed:
     """What was made of the hypotheses: whether lost motors explain the last moments, the best such hypothesis, and the
-    one that rotor speeds name. None: none, or it does not matter which."""
+    one that rotor speeds name; None: none, or it does not matter which. ``evidence`` while a set stands."""
 
     suspected: bool = False
     best: Hypothesis | None = None
     direct: Hypothesis | None = None
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True, slots=True)

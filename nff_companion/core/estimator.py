@@ -21,19 +21,18 @@ from numpy.typing import NDArray
 from nff_companion.core import sparse
 from nff_companion.core.balance import Balance, BalanceState
 from nff_companion.core.curve import Curve
-from nff_companion.core.decision import Decision, DecisionState, Event
+from nff_companion.core.decision import DecisionState
 from nff_companion.core.disturbance import Basis, Disturbance, DisturbanceState, SideDragState, learn_side_drag
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion, Seen, Weighed
-from nff_companion.core.evidence import Evidence
 from nff_companion.core.features import features
 from nff_companion.core.filters import lag_share
-from nff_companion.core.mates import HALF, Mates
-from nff_companion.core.onset import OnsetBank, OnsetState
+from nff_companion.core.identification import Decided, Identification
+from nff_companion.core.mates import HALF
+from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualFilter
-from nff_companion.core.second_look import SecondLook
 from nff_companion.core.tuning import Tuning
-from nff_companion.core.vehicle import GRAVITY_M_S2, YAW, Vehicle
-from nff_companion.core.weighing import Hypothesis, Weighing
+from nff_companion.core.vehicle import YAW, Vehicle
+from nff_companion.core.weighing import Hypothesis
 from nff_companion.errors import SolverError
 
 __all__ = ["Estimate", "Estimator", "EstimatorState", "Measurement", "Motion"]
@@ -58,19 +57,14 @@ class Estimator:
         a log, in which no operator lifts a declaration: what matters only then is left out."""
         o = self.tuning = tuning or Tuning()
         self.vehicle, self.dt_s, self.network, self.identify = vehicle, dt_s, network, identify
-        self._judged = judged
         self._filter = ResidualFilter(vehicle, dt_s, o.residual)
         self._disturbance = Disturbance(vehicle, network, o, bounded=identify)
         self._balance = Balance(vehicle, o.balance, o.disturbance.correlation_s)
         self._curve = Curve(o.curve, o.disturbance.correlation_s)
-        self._onset = OnsetBank(vehicle, dt_s, self._filter.low_pass, o, joint=joint)
-        self._per_sample = dt_s / o.disturbance.correlation_s
+        self._identification = Identification(vehicle, dt_s, self._filter.low_pass, o, joint=joint, judged=judged)
+        self._onset = self._identification.onset
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
-        mates = Mates(vehicle, o)
-        self._mates = mates if mates.any and not judged else None  # a log's verdict names a motor
-        self._weighing = Weighing(vehicle.motors, o.decision, self._mates)
-        self._decision = Decision(vehicle.motors, vehicle.axes, o.decision, self._mates)
 
     def start(
         self,
@@ -117,40 +111,21 @@ class Estimator:
             state = replace(state, decision=replace(state.decision, either=measurement.either))
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
-        weighed, evidence, best = Weighed(), state.evidence, None
+        weighed = Weighed()
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
-        decision, events = state.decision, list[Event]()
+        decided = Decided(state.decision, [], onset, None)
         if self.identify:
-            weighed = self._weigh(state, seen, onset, measurement)
-            if time_s < state.begin_until_s:
-                weighed = Weighed()
-            weighed, evidence = self._longer(state, seen, weighed, time_s)
+            weighed = self._identification.weighed(state, seen, onset, measurement)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
-                effectiveness = sparse.effectiveness(information, decision.failed, self.tuning.sparse)
+                effectiveness = sparse.effectiveness(information, state.decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
-            best = self._placed(state, seen, weighed.best)
-            turned = None if best is None else self._onset.worked(onset)
-            decision, events = self._decision.step(
-                decision,
-                time_s,
-                best,
-                effectiveness,
-                deviation,
-                measurement.command,
-                weighed.direct,
-                turned,
+            decided = self._identification.decided(
+                state, seen, weighed, onset, steady, measurement, effectiveness, deviation
             )
-        second_look = state.second_look
-        if second_look is not None and not events:
-            decision, events, onset, second_look = self._looked_again(
-                second_look, state, seen, decision, onset, steady, time_s
-            )
-        elif events:
-            second_look = self._to_look_again(state, onset, events, weighed, time_s)
+        decision, events, best = decided.decision, decided.events, weighed.best
         if any(event.declared for event in events) or decision.either != state.decision.either:
-            # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.
-            information, onset = sparse.Information.empty(self.vehicle.motors), self._onset.start()
+            information = sparse.Information.empty(self.vehicle.motors)
         suspicious_since_s = None
         if weighed.suspected:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
@@ -172,7 +147,7 @@ class Estimator:
             balance=balance,
             curve=curve,
             information=information,
-            onset=onset,
+            onset=decided.onset,
             steady=steady,
             decision=decision,
             started_s=state.started_s,
@@ -183,8 +158,8 @@ class Estimator:
             solved_s=solved_s,
             effectiveness=effectiveness,
             deviation=deviation,
-            second_look=second_look,
-            evidence=evidence if decision.among is not None and decision.among.told else None,
+            second_look=decided.second_look,
+            evidence=weighed.evidence if decision.among is not None and decision.among.told else None,
         )
         if decision.either:
             effectiveness = effectiveness.copy()
@@ -273,107 +248,6 @@ class Estimator:
         information = sparse.update(state.information, matrix * w, seen.residual, weight, dt_s, forgetting)
         steady = state.steady + self._steady * (w - state.steady)
         return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
-
-    def _weigh(self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement) -> Weighed:
-        """The hypotheses, where the residual is suspicious."""
-        failed, stopped = state.decision.failed, measurement.stopped
-        hint: tuple[int, ...] = ()
-        if stopped is not None and True in stopped.tolist():
-            hint = tuple(np.flatnonzero(stopped & ~failed).tolist())
-        largest = max((seen.residual * seen.residual * seen.noise_weight).tolist())
-        if not hint and largest * self.tuning.disturbance.correlation_s <= self.tuning.estimator.suspicious**2:
-            return Weighed()
-        unknown = seen.variance + state.curve.variance * seen.bent * seen.bent
-        sums = self._onset.sums(onset, seen.effectiveness_matrix, unknown, self._yaw_error(state, seen))
-        gamma = self.tuning.onset.gamma_onset
-        if self._judged and self._decision.closed(state.decision) and self._learns_alike(state, measurement.time_s):
-            return Weighed(self._weighing.suspects(sums, failed, gamma))
-        direct = self._weighing.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
-        # Of one of two half is believed lost: where that one works again both seem to pull more.
-        best = self._weighing.best(sums, failed, gamma, state.decision.either)
-        return Weighed(best is not None, best, direct)
-
-    @staticmethod
-    def _yaw_error(state: EstimatorState, seen: Seen) -> float:
-        """Yaw torque not modelled, as a share of roll and pitch torque: the rotors' side drag."""
-        lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
-        return float(state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2)
-
-    def _longer(
-        self, state: EstimatorState, seen: Seen, weighed: Weighed, time_s: float
-    ) -> tuple[Weighed, Evidence | None]:
-        """While a set of losses cannot be told apart: with the one of them as the best by which the residual moves,
-        where that is certain."""
-        among, best, o = state.decision.among, weighed.best, self.tuning.decision
-        if among is None or not among.told:
-            return weighed, None
-        evidence = state.evidence or Evidence.none(self.vehicle.axes, self.vehicle.motors, time_s)
-        w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
-        each = matrix * (w - state.steady)
-        doubt = self.tuning.onset.single_error_share**2 * np.add.reduce(each * each, axis=1)
-        weight = self._per_sample / (seen.variance + doubt)
-        evidence = evidence.grown(time_s, matrix * w, seen.residual, weight, o.among_block_s)
-        sets = tuple(motors for motors in among.sets if len(motors) == 2)
-        if best is None or len(sets) < 2:
-            return weighed, evidence
-        motors, loss, ahead = evidence.told(sets, self.tuning.onset.gamma_onset)
-        told = replace(best, motors=motors, loss=loss, margin=ahead, beside=ahead, more=-1, moved=True, alike=())
-        if not self._decision.convincing(told):
-            return weighed, evidence
-        return replace(weighed, best=told), evidence
-
-    def _to_look_again(
-        self, state: EstimatorState, onset: OnsetState, events: list[Event], weighed: Weighed, time_s: float
-    ) -> SecondLook | None:
-        """At a motor named by what the windows show, where two might have been."""
-        failed, best = state.decision.failed, weighed.best
-        if len(events) != 1 or not events[0].declared or best is None or weighed.direct is not None:
-            return None
-        motor = events[0].motor - 1
-        if best.motors != (motor,) or sum(failed.tolist()) + 2 > self._decision.failed_max:
-            return None
-        return SecondLook(onset, failed, motor, time_s + self.tuning.decision.second_look_s)
-
-    def _looked_again(
-        self,
-        look: SecondLook,
-        state: EstimatorState,
-        seen: Seen,
-        decision: DecisionState,
-        onset: OnsetState,
-        steady: NDArray[np.float64],
-        time_s: float,
-    ) -> tuple[DecisionState, list[Event], OnsetState, SecondLook | None]:
-        """Takes back what was just declared, where something else explains all that was seen since the loss began; the
-        windows then are those from before it."""
-        w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
-        residual = look.residual(seen.residual, matrix, w)
-        earlier = self._onset.push(look.onset, w, residual, matrix, steady)
-        if time_s >= look.until_s or not decision.failed[look.motor]:
-            return decision, [], onset, None
-        sums = self._onset.sums(earlier, matrix, seen.variance, self._yaw_error(state, seen))
-        behind = self._weighing.behind(sums, look.failed, look.motor, self.tuning.onset.gamma_onset)
-        if behind < 0.0:
-            return decision, [], onset, look
-        taken_back = replace(DecisionState.start(self.vehicle.motors), failed=look.failed, either=decision.either)
-        return taken_back, [Event(time_s, look.motor + 1, False, 1.0, 1.0)], earlier, None
-
-    def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
-        """With the two motors above each other that ``best`` is about, where it cannot be told which."""
-        place = () if self._mates is None or best is None else self._mates.place(best.motors)
-        if self._mates is None or best is None or not place:
-            return best
-        w, lateral = seen.filtered.thrust_shown, math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
-        doubtful = self._doubt * seen.effectiveness_matrix.dot(w - state.steady)
-        alone = len(best.motors) == 1
-        told = alone and self._mates.told_apart(best.motors[0], w, seen.residual, lateral, doubtful)
-        return best if told else replace(best, place=place)
-
-    def _learns_alike(self, state: EstimatorState, time_s: float) -> bool:
-        """Whether the speed of learning is the same however sure the best hypothesis is."""
-        o = self.tuning.estimator
-        since_s = 0.0 if state.suspicious_since_s is None else time_s - state.suspicious_since_s
-        return not min(o.freeze_max_s, o.freeze_sure_s) <= since_s < max(o.freeze_max_s, o.freeze_sure_s)
 
     def _learn(
         self,
