@@ -15,6 +15,8 @@ from sitl import airframe as plant_airframe
 from sitl import rotation
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
+from sitl.trials.campaign.fly import fly
+from sitl.trials.campaign.scenario import Scenario
 from sitl.trials.first_seconds import TakeOff
 from sitl.trials.personality import prepared
 from sitl.trials.virtual import TrialOptions, VirtualFlight, temporary_card
@@ -137,6 +139,19 @@ def test_opposite_motors_are_told_apart_by_a_test_that_the_vehicle_hardly_feels(
         assert tested.named_s[k] < 1.0
         until = round(tested.named_s[k] * AUTOPILOT_RATE_HZ)
         assert np.abs(tested.tilt_deg - alone.tilt_deg)[:until, k].max() < 1.0
+
+
+def test_two_that_look_like_one_between_them_are_told_in_time() -> None:
+    """Drawn in fast flight: for 65 ms the pair looks like motor 3, or 7; one of the vehicles crashed, which flies on
+    when it is left alone."""
+    scenario = Scenario(
+        name="pairs", flights=224, manoeuvres=("hover", "climb", "turn", "forward"), motors=2, seed=31, fly_on_s=5.0
+    )
+    for row in fly(scenario, (71, 151)):
+        assert row["named"] == row["motors"]
+        assert row["survived"]
+        assert row["delay_s"] < 1.0
+        assert "LAND" not in row["says"]
 
 
 def test_a_motor_at_full_output_is_said_and_nobody_else_is_blamed() -> None:

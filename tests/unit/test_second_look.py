@@ -1,0 +1,56 @@
+"""A motor just declared is taken back where two others explain all that was seen; else it stays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nff_companion.core.onset import OnsetSums
+from nff_companion.core.second_look import SecondLook
+from nff_companion.core.tuning import Tuning
+from nff_companion.core.vehicle import Vehicle
+from nff_companion.core.weighing import Weighing
+
+TUNING = Tuning().decision
+NOBODY = np.zeros(8, bool)
+BETWEEN = ((2, (0, 7)), (6, (4, 5)))  # of octo-x: a motor, and the two on both sides of it
+DEVIATION = np.array([0.5, 1.5, 1.5, 0.2])
+
+
+def sums_of(octo: Vehicle, loss: NDArray[np.float64], noise: NDArray[np.float64], seconds: float = 0.2) -> OnsetSums:
+    """Of one window in which motors lose ``loss`` (8,); ``noise`` (4,) of the mean residual in deviations."""
+    matrix = octo.acceleration_effectiveness * octo.hover
+    weight = seconds / 0.012 / DEVIATION**2
+    y = -matrix @ loss + noise * DEVIATION * np.sqrt(0.012 / seconds)
+    weighted = matrix * weight[:, None]
+    energy = float(weight @ y**2)
+    return OnsetSums((weighted.T @ matrix)[None], (weighted.T @ y)[None], np.array([energy]), np.array([seconds]))
+
+
+@pytest.mark.parametrize(("motor", "pair"), BETWEEN)
+def test_what_two_others_explain_is_taken_back(
+    octo: Vehicle, motor: int, pair: tuple[int, int], rng: np.random.Generator
+) -> None:
+    weighing = Weighing(8, TUNING)
+    for _ in range(50):
+        both = sums_of(octo, np.isin(np.arange(8), pair).astype(float), rng.normal(size=4))
+        assert weighing.behind(both, NOBODY, motor, 1.0) > 0.0
+        for one in pair:  # each of the two is believed: with the other one
+            assert weighing.behind(both, NOBODY, one, 1.0) < 0.0
+
+
+@pytest.mark.parametrize("motor", range(8))
+def test_a_motor_that_is_lost_stays_declared(octo: Vehicle, motor: int, rng: np.random.Generator) -> None:
+    weighing = Weighing(8, TUNING)
+    for _ in range(50):
+        alone = sums_of(octo, np.eye(8)[motor], rng.normal(size=4), float(rng.uniform(0.05, 0.2)))
+        assert weighing.behind(alone, NOBODY, motor, 1.0) < 0.0
+
+
+def test_the_residual_is_that_of_a_vehicle_whose_motor_may_work(octo: Vehicle, rng: np.random.Generator) -> None:
+    matrix, w, motor = octo.acceleration_effectiveness, rng.uniform(0.2, 0.8, 8), int(rng.integers(8))
+    whole = rng.normal(size=4)  # measured - B0 w
+    without = whole + matrix[:, motor] * w[motor]  # with the motor declared it is expected to give nothing
+    look = SecondLook(onset=None, failed=NOBODY, motor=motor, until_s=0.0)  # type: ignore[arg-type]
+    assert np.allclose(look.residual(without, matrix, w), whole)
