@@ -79,7 +79,7 @@ def test_a_take_off_by_a_file_that_is_far_off_declares_nothing() -> None:
 
 
 OPPOSITE = ((1, 2), (7, 8), (3, 6), (4, 5))  # of octo-x: two of each turn the yaw alone, to the same side
-FAILS_S = 4.0
+FAILS_S = 3.0
 
 
 class Alike:
@@ -105,7 +105,7 @@ class Alike:
             ready = prepared(personality, vehicles.load(airframe), TrialOptions().allocation, card)
             fleet = Fleet(plants, options, faults)
             self.flight = VirtualFlight(fleet, trials, airframe=airframe, workshop=ready.workshop, px4=ready.px4)
-            for _ in range(round(6.5 * AUTOPILOT_RATE_HZ)):
+            for _ in range(round((FAILS_S + 1.2) * AUTOPILOT_RATE_HZ)):
                 self.flight.step()
                 if fleet.time_s > FAILS_S:
                     tilts.append(np.degrees(rotation.tilt_of(fleet.state.quaternion)))
@@ -145,7 +145,7 @@ def test_two_that_look_like_one_between_them_are_told_in_time() -> None:
     """Drawn in fast flight: for 65 ms the pair looks like motor 3, or 7; one of the vehicles crashed, which flies on
     when it is left alone."""
     scenario = Scenario(
-        name="pairs", flights=224, manoeuvres=("hover", "climb", "turn", "forward"), motors=2, seed=31, fly_on_s=5.0
+        name="pairs", flights=224, manoeuvres=("hover", "climb", "turn", "forward"), motors=2, seed=31, fly_on_s=2.0
     )
     for row in fly(scenario, (71, 151)):
         assert row["named"] == row["motors"]
