@@ -22,7 +22,7 @@ from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward, healthy
 from sitl.trials.comparison import rms_ratio
 from sitl.trials.personality import prepared
-from sitl.trials.research.detectors import parts_of
+from sitl.trials.research.detectors import detector_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
@@ -157,7 +157,8 @@ def _build(
     )
     model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
     personality = prepared(options.personality, model, TrialOptions().allocation, card)
-    chosen = TrialOptions(mode=options.mode, network=options.network, parts=parts_of(options.detector, options.joint))
+    detector = detector_of(options.detector, options.joint)
+    chosen = TrialOptions(mode=options.mode, network=options.network, parts=detector.parts, tuning=detector.tuning)
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),
         dict.fromkeys(companions, chosen),

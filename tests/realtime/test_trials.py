@@ -11,13 +11,13 @@ import pytest
 from nff_companion.cli.flight import parse_failures
 from nff_companion.errors import ConfigError
 from sitl.trials import survey
-from sitl.trials.research.detectors import parts_of
+from sitl.trials.research.detectors import detector_of
 from sitl.trials.survey import SurveyOptions, failure_sets, run, summary
 
 NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 
 
-@pytest.mark.parametrize("detector", ["sparse", "imm"])
+@pytest.mark.parametrize("detector", ["sparse", "imm", "rls"])
 def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(survey, "FLY_ON_S", 3.0)
     document = run(SurveyOptions(seeds=1, first_seed=2, detector=detector), [(3,)], workers=1)
@@ -67,8 +67,8 @@ def test_failures_are_read_as_motor_at_seconds() -> None:
 
 
 def test_an_unknown_detector_is_named_with_the_choices() -> None:
-    with pytest.raises(ConfigError, match="sparse, imm"):
-        parts_of("oracle")
+    with pytest.raises(ConfigError, match="sparse, published, imm"):
+        detector_of("oracle")
 
 
 def test_bench_allocation_prints_one_document() -> None:

@@ -18,6 +18,7 @@ from sitl.trials.campaign.events import Events, gusts
 from sitl.trials.campaign.manoeuvres import HEIGHT_M, Pilots
 from sitl.trials.campaign.scenario import FROM_GROUND, Case, Scenario, drawn
 from sitl.trials.personality import prepared
+from sitl.trials.research.detectors import detector_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
@@ -40,11 +41,13 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         gusts=gusts(both),
     )
     plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(both))
+    detector = detector_of(scenario.detector)
+    trial = TrialOptions(mode=Mode.ALLOCATE, network=scenario.network, parts=detector.parts, tuning=detector.tuning)
     with temporary_card() as card:
         autopilot = prepared(scenario.personality, vehicles.load(airframe), TrialOptions().allocation, card)
         flight = VirtualFlight(
             Fleet(plants, options, faults(both)),
-            dict.fromkeys(range(len(cases)), TrialOptions(mode=Mode.ALLOCATE, network=scenario.network)),
+            dict.fromkeys(range(len(cases)), trial),
             airframe=airframe,
             rate_hz=scenario.rate_hz,
             link_delay_s=scenario.link_delay_s,

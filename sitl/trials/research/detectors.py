@@ -1,21 +1,39 @@
-"""Which estimator a trial flies with: ours, or the IMM peer."""
+"""Which estimator a trial flies with: ours, or a peer."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from nff_companion.core.parts import FLOWN, Parts
+from nff_companion.core.tuning import Tuning
 from nff_companion.errors import ConfigError
 
-DETECTORS = ("sparse", "imm")
+DETECTORS = ("sparse", "published", "imm", "rls", "thrust-loss")
+# Of the published estimate alone a motor is declared that has lost enough of it for long enough: no onset is looked at.
+BY_ESTIMATE_ALONE = Tuning().having("decision", improvement_min=1e9)
 
 
-def parts_of(detector: str, joint: float = 0.0) -> Parts:
-    """What flies, with the detector named. Raises ConfigError, MissingExtra."""
-    if detector == "sparse":
-        return replace(FLOWN, joint=joint)
-    if detector == "imm":
+@dataclass(frozen=True, kw_only=True)
+class Detector:
+    """What of the product it replaces."""
+
+    parts: Parts
+    tuning: Tuning = field(default_factory=Tuning)
+
+
+def detector_of(name: str, joint: float = 0.0) -> Detector:
+    """By ``name``. Raises ConfigError, MissingExtra."""
+    if name == "sparse":
+        return Detector(parts=replace(FLOWN, joint=joint))
+    if name == "published":
+        return Detector(parts=replace(FLOWN, name=name), tuning=BY_ESTIMATE_ALONE)
+    if name == "imm":
         from sitl.trials.research.imm import ImmEstimator
 
-        return replace(FLOWN, name="imm", estimator=ImmEstimator)
-    raise ConfigError(f"detector {detector!r} is unknown: choose one of {', '.join(DETECTORS)}")
+        return Detector(parts=replace(FLOWN, name=name, estimator=ImmEstimator))
+    if name in ("rls", "thrust-loss"):
+        from sitl.trials.research.simple_peers import LeastSquares, ThrustLoss
+
+        peer = LeastSquares if name == "rls" else ThrustLoss
+        return Detector(parts=replace(FLOWN, name=name, estimator=peer))
+    raise ConfigError(f"detector {name!r} is unknown: choose one of {', '.join(DETECTORS)}")
