@@ -92,7 +92,9 @@ class NffAdapter:
                     sample_usec, self._next(), timeout_ms, *self.target, len(outputs), padded
                 )
             ]
-        return [self._matrix(sample_usec, command.plan.matrix if isinstance(command, Load) else None)]
+        if isinstance(command, Load):
+            return [self._matrix(sample_usec, command.plan.matrix, command.timeout_s)]
+        return [self._matrix(sample_usec, None, times.MATRIX_TIMEOUT_S)]
 
     def due(self, now_s: float, permit: Permit) -> list[Message]:
         """Nothing is due without telemetry."""
@@ -107,14 +109,14 @@ class NffAdapter:
         self._sequence = (self._sequence + 1) % 2**32
         return self._sequence
 
-    def _matrix(self, sample_usec: int, matrix: NDArray[np.float64] | None) -> Message:
+    def _matrix(self, sample_usec: int, matrix: NDArray[np.float64] | None, timeout_s: float) -> Message:
         """``matrix`` (m, n), None: the one in force is dropped."""
         factors = np.zeros(_FACTORS)
         motors, axes, valid = 0, 0, 0
         if matrix is not None:
             motors, axes, valid = *matrix.shape, 1
             factors[: motors * axes] = matrix.ravel()
-        timeout_ms = round(1e3 * times.MATRIX_TIMEOUT_S)
+        timeout_ms = round(1e3 * timeout_s)
         return dialect.MAVLink_nff_allocation_matrix_message(
             sample_usec, self._next(), timeout_ms, *self.target, axes, motors, valid, factors.tolist()
         )

@@ -31,11 +31,12 @@ class Declare:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """Use this matrix until it expires; it belongs to the motors ``failed`` (m,) bool."""
+    """Use this matrix until it expires, ``timeout_s`` after it came; it belongs to the motors ``failed`` (m,) bool."""
 
     time_s: float
     plan: Plan
     failed: NDArray[np.bool_]
+    timeout_s: float = times.MATRIX_TIMEOUT_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,8 @@ def steps(
     if plan is not None:
         if plan is not state.plan or not 0.0 <= time_s - state.plan_s < times.MATRIX_INTERVAL_S - _JITTER_S:
             state = replace(state, plan=plan, plan_s=time_s)
-            commands.append(Load(time_s, plan, output.failed))
+            timeout_s = times.PROBE_TIMEOUT_S if output.probing else times.MATRIX_TIMEOUT_S
+            commands.append(Load(time_s, plan, output.failed, timeout_s))
     elif state.plan is not None:
         state = replace(state, plan=None)
         commands.append(Release(time_s))

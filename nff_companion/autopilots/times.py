@@ -2,6 +2,7 @@
 
 # What the autopilot honours, and how long.
 MATRIX_TIMEOUT_S = 0.5
+PROBE_TIMEOUT_S = 0.15  # of a matrix that moves motors to test them: should its end be lost, it ends by itself
 OVERRIDE_TIMEOUT_S = 0.1
 MATRIX_TIMEOUT_MAX_S = 2.0
 STALE_S = 0.25  # a command that answers an older sample is refused

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from nff_companion.autopilots import times
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.tuning import Tuning
@@ -139,6 +140,28 @@ def test_opposite_motors_are_told_apart_by_a_test_that_the_vehicle_hardly_feels(
         assert tested.named_s[k] < 1.0
         until = round(tested.named_s[k] * AUTOPILOT_RATE_HZ)
         assert np.abs(tested.tilt_deg - alone.tilt_deg)[:until, k].max() < 1.0
+
+
+def test_a_test_whose_end_is_lost_ends_by_itself() -> None:
+    """The link to the autopilot is cut in the middle of a test."""
+    faults = [Fault(vehicle=k, motor=motor, start_s=FAILS_S) for k, lost in enumerate(OPPOSITE) for motor in lost]
+    flight = started("octo-x", [5 + k for k in range(len(OPPOSITE))], faults, level="calibrated", height_m=30.0)
+    cut_s: dict[int, float] = {}
+    tested, ports = set[int](), flight.fleet.autopilot.ports
+    while flight.fleet.time_s < FAILS_S + 1.0:
+        flight.step()
+        now_s = flight.fleet.time_s
+        for k, companion in enumerate(flight.companions):
+            if ports[k].matrix_at(now_s) is not None and companion.output.probing:
+                tested.add(k)
+                cut_s.setdefault(k, now_s)
+            if k in cut_s:
+                companion.up.receive(math.inf)  # lost
+                if now_s > cut_s[k] + times.PROBE_TIMEOUT_S + 0.05:
+                    assert ports[k].matrix_at(now_s) is None
+    assert tested
+    assert not flight.fleet.state.crashed.any()
+    assert np.degrees(rotation.tilt_of(flight.fleet.state.quaternion)).max() < 20.0
 
 
 def test_two_that_look_like_one_between_them_are_told_in_time() -> None:

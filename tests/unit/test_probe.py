@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner, PlannerState
 from nff_companion.allocation.probe import Prober, ProbeState
+from nff_companion.autopilots import times
 from nff_companion.autopilots.schedule import Declare, Load, ScheduleState, steps
 from nff_companion.companion import Companion
 from nff_companion.condition import Condition, Mode
@@ -214,8 +215,8 @@ def test_a_test_is_sent_where_a_matrix_is_taken_and_we_may_act(
     output = Outcome(octo.motors, octo.axes).output(state, condition, 0.0, estimate, None, ())
     assert output.probing == tested
     _, commands = steps(ScheduleState.start(octo.motors), output, condition, 0.0)
-    loaded = [command.plan for command in commands if isinstance(command, Load)]
-    assert loaded == ([planning.plan] if tested else [])
+    loaded = [(command.plan, command.timeout_s) for command in commands if isinstance(command, Load)]
+    assert loaded == ([(planning.plan, times.PROBE_TIMEOUT_S)] if tested else [])
     assert not any(isinstance(command, Declare) for command in commands)
 
 

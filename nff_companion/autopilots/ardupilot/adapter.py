@@ -306,7 +306,7 @@ class ArduPilotAdapter:
             self._message(
                 Kind.MATRIX,
                 sample_ms=sample_ms,
-                timeout_ms=round(1e3 * times.MATRIX_TIMEOUT_S),
+                timeout_ms=round(1e3 * command.timeout_s),
                 failed=_mask(command.failed),
                 flags=tunnel.YAW_RELEASED if command.plan.released else 0,
                 rows=rows,
