@@ -124,6 +124,9 @@ class Decision:
             return []  # what such a motor could lose is within what the others may be wrong by
         if new.more is not None and new.more.told:
             return []
+        stands = state.among is not None and time_s - state.among.since_s >= self.tuning.among_size_s
+        if stands and len(best.motors) > 1 and not best.moved:
+            return []  # by now its size is the model's error: what moves tells which it is
         if best.motors == state.candidate:
             new.since_s = state.since_s
         wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
@@ -180,14 +183,9 @@ class Decision:
         o, alike = self.tuning, () if best is None else best.alike
         lost = best is not None and best.explained >= o.explained_min
         room = self.failed_max - sum(state.failed.tolist())
-        if not lost or not any(len(motors) <= room and self._large(loss) for motors, loss in alike):
+        if not lost or not any(len(motors) <= room and min(loss) >= o.loss_sudden for motors, loss in alike):
             return followed(state.among, time_s, (), o)
         return followed(state.among, time_s, tuple(motors for motors, _ in alike), o)
-
-    def _large(self, loss: tuple[float, ...]) -> bool:
-        """Whether so much of two motors is lost as declares them."""
-        o = self.tuning
-        return min(loss) >= o.loss_sudden and sum(loss) >= o.loss_settled * len(loss)
 
     @staticmethod
     def _declare(new: DecisionState, time_s: float, found: Hypothesis, confidence: float) -> list[Event]:
@@ -257,5 +255,5 @@ class Decision:
             and best.margin >= lead
             and best.explained >= o.explained_min
             and min(best.loss) >= o.loss_sudden
-            and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled)
+            and (sum(best.loss) >= o.loss_settled * len(best.loss) or not settled or best.moved)
         )

@@ -77,6 +77,12 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     among_after_s: Annotated[
         float, span(0.0, 5.0, "s", "of motors that cannot be told apart, after which they are said as a set")
     ] = 0.15
+    among_size_s: Annotated[
+        float,
+        span(
+            0.0, 10.0, "s", "of a set, after which one of it is told by how the residual moves, no longer by its size"
+        ),
+    ] = 0.5
     among_hold_s: Annotated[
         float, span(0.05, 10.0, "s", "for which a set outlives what shows it: a moment in which one of them leads")
     ] = 1.0
