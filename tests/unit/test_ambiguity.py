@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as replace_hypothesis
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -98,3 +100,36 @@ def test_a_declaration_ends_a_set(octo: Vehicle) -> None:
             break
     assert [event.motor for event in events] == [4]
     assert state.among is None
+
+
+def test_two_of_which_less_than_all_seems_lost_are_a_set_too(octo: Vehicle) -> None:
+    """By a file whose motors give less than it says, a stopped motor seems to have lost 70 %."""
+    state, events = stepped(octo, 0.7 * np.isin(np.arange(8), OPPOSITE[0]).astype(float), 1.0)
+    assert events == []
+    assert state.among is not None
+    assert state.among.told
+    assert set(state.among.sets) == set(OPPOSITE)
+
+
+@pytest.mark.parametrize(
+    ("stood_s", "moved", "declared"),
+    [(0.3, False, True), (2.0, False, False), (2.0, True, True)],
+)
+def test_an_old_set_is_told_by_what_moves_alone(stood_s: float, moved: bool, declared: bool) -> None:
+    """Of a turning vehicle the pair that works led by 55 nats of 420 for a second."""
+    found = Hypothesis((0, 1), (0.95, 0.95), 420.0, 55.0, 0.95, 0.2, moved=moved)
+    state = DecisionState(failed=np.zeros(8, bool), among=Among(OPPOSITE, 0.0, stood_s, told=True))
+    events = list[Event]()
+    for k in range(1, 20):
+        state, new = Decision(8, 4, TUNING).step(state, stood_s + 0.005 * k, found, *QUIET)
+        events += new
+        if events:
+            break
+    assert [event.motor for event in events] == ([1, 2] if declared else [])
+
+
+def test_what_moved_tells_two_of_which_less_than_all_seems_lost() -> None:
+    less = Hypothesis((0, 1), (0.7, 0.7), 200.0, 30.0, 0.95, 0.2)
+    assert not Decision(8, 4, TUNING).convincing(less)
+    assert Decision(8, 4, TUNING).convincing(replace_hypothesis(less, moved=True))
+    assert not Decision(8, 4, TUNING).convincing(replace_hypothesis(less, moved=True, loss=(0.9, 0.4)))
