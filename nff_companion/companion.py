@@ -241,7 +241,8 @@ class Companion:
         if trusted and not self._only_judges:
             partial = self._fits_closely(fit, confirmed=state.confirmed)
             driven = override is not None
-            planning = self._planner.step(planning, time_s, estimate, trust_partial=partial, driven=driven)
+            tests = acting(state, condition) != Mode.OBSERVE and (condition.takes_matrix or driven)
+            planning = self._planner.step(planning, time_s, estimate, trust_partial=partial, driven=driven, tests=tests)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(

@@ -101,16 +101,21 @@ class Planner:
         *,
         trust_partial: bool = True,
         driven: bool = False,
+        tests: bool = True,
     ) -> PlannerState:
         """Solve the allocation again when what is believed of the motors has moved; ``trust_partial`` False: what
         begins to look like a partial loss may be an error of the model. ``driven``: the outputs are ours, by
-        ``healthy`` where no plan is in force; else the autopilot mixes."""
+        ``healthy`` where no plan is in force; else the autopilot mixes. ``tests``: what is planned is put in force."""
         o = self._tuning
         if self._prober is not None and (estimate.among or state.probing):
+            # Nothing is done about a guess. But what was ordered is, and one of two above each other; and what is left
+            # to be done of what was declared.
+            settled = not estimate.either and not state.catching and _planned(state, estimate)
+            asked = settled and tests and not estimate.more and state.refusal is None
             mixed = self.healthy if driven else self._stock
-            state = self._probed(self._prober, mixed, state, time_s, estimate)
-            if estimate.among and ((state.planned_for == 0.0) == estimate.failed).all():
-                return state  # nothing is done about a guess
+            state = self._probed(self._prober, mixed, state, time_s, estimate, asked=asked)
+            if estimate.among and settled:
+                return state
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any() and not estimate.either
         if clear and state.untouched:
@@ -138,23 +143,34 @@ class Planner:
         return self._solved(replace(state, planned_s=time_s, planned_for=target), target, estimate)
 
     def _probed(
-        self, prober: Prober, mixed: Plan | None, state: PlannerState, time_s: float, estimate: Estimate
+        self,
+        prober: Prober,
+        mixed: Plan | None,
+        state: PlannerState,
+        time_s: float,
+        estimate: Estimate,
+        *,
+        asked: bool,
     ) -> PlannerState:
-        """With the test of which motors are lost that is due, on what is in force without it: a plan, or ``mixed``."""
+        """With the test of which motors are lost that is due, on what is in force without it: a plan, or ``mixed``;
+        ``asked`` False: without any."""
         settled = state.settled if state.probing else state.plan
         mixed = settled or mixed
         if mixed is None:
             return state
-        probe = prober.step(state.probe, time_s, estimate, np.nan_to_num(state.planned_for, nan=1.0))
+        effectiveness = np.nan_to_num(state.planned_for, nan=1.0)
+        probe = prober.step(state.probe, time_s, estimate, effectiveness, asked=asked)
         if probe is state.probe:
             return state
         if probe.move is None:
-            return replace(state, probe=probe.ended(probe.next_s), plan=settled, settled=None)
+            return replace(state, probe=probe, plan=settled, settled=None)
         hover = self._vehicle.hover
-        asked = max(float(mixed.effectiveness[THRUST].dot(estimate.thrust_shown)), 0.5 * hover)
-        plan = moved(mixed, probe.sign * probe.move, asked, hover, self._tuning)
-        if isinstance(plan, Refusal):
-            ended = probe.ended(time_s + self._tuning.resolve_interval_s)
+        thrust = max(float(mixed.effectiveness[THRUST].dot(estimate.thrust_shown)), 0.5 * hover)
+        plan, back = (
+            moved(mixed, sign * probe.move, thrust, hover, self._tuning) for sign in (probe.sign, -probe.sign)
+        )
+        if isinstance(plan, Refusal) or isinstance(back, Refusal):  # forth without back would turn the vehicle
+            ended = prober.refused(probe, time_s)
             return replace(state, probe=ended, plan=settled, settled=None, rejected=state.rejected + 1)
         return replace(state, probe=probe, plan=plan, settled=settled, untouched=False)
 
@@ -194,3 +210,8 @@ class Planner:
         target[list(estimate.either)] = HALF
         target[estimate.failed] = 0.0
         return low_since, target
+
+
+def _planned(state: PlannerState, estimate: Estimate) -> bool:
+    """Whether what was planned is for the motors that are declared."""
+    return bool(((state.planned_for == 0.0) == estimate.failed).all() and not np.isnan(state.planned_for).any())

@@ -50,11 +50,18 @@ class Prober:
         self._turned, self._square = _response(vehicle.lag_s[0], tuning.probe.part_s)
 
     def step(
-        self, state: ProbeState, time_s: float, estimate: Estimate, effectiveness: NDArray[np.float64]
+        self,
+        state: ProbeState,
+        time_s: float,
+        estimate: Estimate,
+        effectiveness: NDArray[np.float64],
+        *,
+        asked: bool = True,
     ) -> ProbeState:
-        """One sample; ``effectiveness`` (m,) that is allocated for, without what is being asked."""
+        """One sample; ``effectiveness`` (m,) that is allocated for, without what is being asked. ``asked`` False: none
+        is made, and the one that runs ends."""
         o = self._tuning
-        variance = estimate.variance if estimate.among else None
+        variance = estimate.variance if estimate.among and asked else None
         if state.move is not None:
             part = int((time_s - state.begun_s) / o.part_s + 1e-9)
             if variance is not None and 0 <= part < len(_PATTERN):
@@ -70,6 +77,10 @@ class Prober:
         in_a_row = state.tests < o.tests_max and time_s - state.begun_s < o.rest_s
         tests = state.tests + 1 if in_a_row else 1
         return ProbeState(move=read_only(move), sign=_PATTERN[0], begun_s=time_s, tests=tests)
+
+    def refused(self, state: ProbeState, time_s: float) -> ProbeState:
+        """A test that cannot be made as it should be is not made again soon."""
+        return state.ended(time_s + self._tuning.rest_s)
 
     def movement(
         self,

@@ -97,7 +97,7 @@ class Decision:
             events = self._either(state, new, time_s, best, shown)
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
-        new.among = None if events else self._among(state, time_s, best)
+        new.among = None if events or new.either != state.either else self._among(state, time_s, best)
         if not (new.more and new.more.told):
             events += self._gradual(state, new, time_s, *works)
         if True in before:

@@ -106,9 +106,11 @@ class Estimator:
         """One sample. Raises SolverError."""
         time_s, failed = measurement.time_s, measurement.failed
         if failed is not None and state.decision.failed is not failed:
+            same = bool((state.decision.failed == failed).all())
             state = replace(state, decision=replace(state.decision, failed=failed))
+            state = state if same else _ordered(state)
         if state.decision.either != measurement.either:
-            state = replace(state, decision=replace(state.decision, either=measurement.either))
+            state = _ordered(replace(state, decision=replace(state.decision, either=measurement.either)))
         seen = self._explain(state, measurement)
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         weighed = Weighed()
@@ -124,7 +126,8 @@ class Estimator:
                 state, seen, weighed, onset, steady, measurement, effectiveness, deviation
             )
         decision, events, best = decided.decision, decided.events, weighed.best
-        if any(event.declared for event in events) or decision.either != state.decision.either:
+        taken_back = state.second_look is not None and bool(events)
+        if taken_back or any(event.declared for event in events) or decision.either != state.decision.either:
             information = sparse.Information.empty(self.vehicle.motors)
         suspicious_since_s = None
         if weighed.suspected:
@@ -335,6 +338,11 @@ class Estimator:
         if time_s < state.begin_until_s:
             return o.begin_rate
         return o.learn_fast_rate if time_s < state.fast_until_s else 1.0
+
+
+def _ordered(state: EstimatorState) -> EstimatorState:
+    """After an order has changed what is declared: what was being told apart, or looked at again, was of before."""
+    return replace(state, decision=replace(state.decision, among=None), evidence=None, second_look=None)
 
 
 def _shut(estimate: Estimate) -> None:

@@ -87,8 +87,11 @@ class Identification:
         decision, events = self._decision.step(
             state.decision, time_s, best, effectiveness, deviation, measurement.command, weighed.direct, turned
         )
-        if state.second_look is not None and not events:
-            return self._looked_again(state.second_look, state, seen, decision, onset, steady, time_s)
+        look = state.second_look
+        if look is not None and not events and decision.either == state.decision.either:
+            if measurement.stopped is not None and measurement.stopped[look.motor]:
+                return Decided(decision, [], onset, None)  # it stands still by its speed
+            return self._looked_again(look, state, seen, decision, onset, steady, time_s)
         second_look = None if not events else self._to_look_again(state, onset, events, weighed, time_s)
         if any(event.declared for event in events) or decision.either != state.decision.either:
             # What is left of the old residual belongs to the motors just declared; a new failure starts afresh.

@@ -19,6 +19,7 @@ from nff_companion.companion import Companion
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.estimate import Estimate
+from nff_companion.core.mates import HALF
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import PITCH, ROLL, Vehicle
 from nff_companion.outcome import Outcome
@@ -238,8 +239,72 @@ def test_a_motor_lifted_in_a_test_is_allocated_again(octo: Vehicle) -> None:
     planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
     state = planner.step(planner.start(), 0.0, seen(octo, (), failed=(2,)))
     state = planner.step(state, DT_S, seen(octo, OPPOSITE, failed=(2,)))
-    state = planner.step(state, 1.0, seen(octo, OPPOSITE))
-    assert (state.planned_for == 1.0).all()
+    for k in range(200):
+        state = planner.step(state, 1.0 + DT_S * k, seen(octo, OPPOSITE if k < 100 else ()))
+        assert (state.planned_for == 1.0).all()
+        assert state.plan is None or state.plan.matrix[2].any()
+    assert state.plan is None
+
+
+def coax_either(coax: Vehicle) -> Estimate:
+    estimate = seen(coax, ((0, 1), (2, 3)))
+    estimate.either = (0, 5)
+    estimate.effectiveness = np.where(np.isin(np.arange(8), (0, 5)), HALF, 1.0)
+    return estimate
+
+
+def test_one_of_two_above_each_other_is_allocated_around_at_once_and_nothing_is_tested() -> None:
+    coax = vehicles.load("coax-x8")
+    planner = Planner(coax, allocator("trim"), TUNING.planner, prober=Prober(coax, TUNING))
+    state = planner.step(planner.start(), 0.0, coax_either(coax))
+    assert state.planned_for.tolist() == [HALF if motor in (0, 5) else 1.0 for motor in range(8)]
+    assert state.plan is not None
+    assert not any(planner.step(state, DT_S * k, coax_either(coax)).probing for k in range(1, 300))
+
+
+def test_nothing_is_tested_beside_a_motor_that_pulls_more(octo: Vehicle) -> None:
+    estimate = seen(octo, OPPOSITE)
+    estimate.more = (3,)
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    assert not any(state.probing for state in flown(planner, octo, 1.0, estimate))
+
+
+def test_where_there_is_no_plan_for_what_is_declared_nothing_is_tested() -> None:
+    coax, dead = vehicles.load("coax-x8"), (0, 5)  # both of an arm: no matrix carries that
+    planner = Planner(coax, allocator("trim"), TUNING.planner, prober=Prober(coax, TUNING))
+    state = planner.step(planner.start(), 0.0, seen(coax, (), failed=dead))
+    assert state.refusal is not None
+    for k in range(1, 300):
+        state = planner.step(state, DT_S * k, seen(coax, ((1, 2), (3, 4)), failed=dead))
+        assert (state.plan, state.probing) == (None, False)
+
+
+def test_a_test_is_made_forth_and_back_or_not_at_all() -> None:
+    """Where hovering takes much of the thrust one way may be out of bounds and the other not."""
+    px4 = vehicles.load("px4-octo-x")
+    planner = Planner(px4, allocator("trim"), TUNING.planner, prober=Prober(px4, TUNING))
+    state = planner.step(planner.start(), 0.0, seen(px4, (), failed=(0,)))
+    signs: dict[float, list[float]] = {}
+    for k in range(1, 2400):
+        estimate = seen(px4, ((1, 2), (1, 3)), failed=(0,))
+        state = planner.step(state, DT_S * k, estimate)
+        if state.probing:
+            signs.setdefault(state.probe.begun_s, []).append(state.probe.sign)
+    whole = [sum(test) for test in list(signs.values())[:-1]]
+    assert all(abs(balance) <= 1.0 for balance in whole)
+    assert state.rejected <= 4
+
+
+def test_a_test_that_is_not_in_force_is_not_begun_and_not_joined(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    state = planner.start()
+    for k in range(400):  # observing
+        state = planner.step(state, DT_S * k, seen(octo, OPPOSITE), tests=False)
+        assert not state.probing
+    state = planner.step(state, 2.0, seen(octo, OPPOSITE))
+    assert (state.probing, state.probe.sign, state.probe.tests) == (True, 1.0, 1)
+    state = planner.step(state, 2.1, seen(octo, OPPOSITE), tests=False)
+    assert (state.probing, state.plan) == (False, None)
 
 
 def test_a_matrix_that_does_not_pass_the_check_is_not_sent(octo: Vehicle) -> None:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nff_companion.core.ambiguity import Among
+from nff_companion.core.estimate import EstimatorState, Measurement
+from nff_companion.core.estimator import Estimator
+from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.second_look import SecondLook
 from nff_companion.core.tuning import Tuning
@@ -13,6 +19,7 @@ from nff_companion.core.vehicle import Vehicle
 from nff_companion.core.weighing import Weighing
 
 TUNING = Tuning().decision
+DT_S = 0.005
 NOBODY = np.zeros(8, bool)
 BETWEEN = ((2, (0, 7)), (6, (4, 5)))  # of octo-x: a motor, and the two on both sides of it
 DEVIATION = np.array([0.5, 1.5, 1.5, 0.2])
@@ -54,3 +61,50 @@ def test_the_residual_is_that_of_a_vehicle_whose_motor_may_work(octo: Vehicle, r
     without = whole + matrix[:, motor] * w[motor]  # with the motor declared it is expected to give nothing
     look = SecondLook(onset=None, failed=NOBODY, motor=motor, until_s=0.0)  # type: ignore[arg-type]
     assert np.allclose(look.residual(without, matrix, w), whole)
+
+
+def flying(octo: Vehicle) -> tuple[Estimator, EstimatorState]:
+    """In hover, a second look at motor 3 under way, and a set standing."""
+    estimator = Estimator(octo, DT_S)
+    command = np.full(8, octo.hover)
+    state = estimator.start(0.0, np.zeros(3), np.array([0.0, 0.0, -9.81]), command)
+    declared = replace(
+        state.decision, failed=np.isin(np.arange(8), (2, 5)), among=Among(((0, 1), (6, 7)), 0.0, 0.0, told=True)
+    )
+    look = SecondLook(state.onset, np.isin(np.arange(8), (5,)), 2, 1.0)
+    return estimator, replace(state, decision=declared, second_look=look, evidence=Evidence.none(4, 8, 0.0))
+
+
+def measured(octo: Vehicle, failed: tuple[int, ...], stopped: tuple[int, ...] = ()) -> Measurement:
+    return Measurement(
+        time_s=DT_S,
+        dt_s=DT_S,
+        gyro=np.zeros(3),
+        specific_force=np.array([0.0, 0.0, -9.81]),
+        command=np.full(8, octo.hover),
+        failed=np.isin(np.arange(8), failed),
+        stopped=np.isin(np.arange(8), stopped),
+    )
+
+
+def test_what_is_declared_goes_on_being_looked_at(octo: Vehicle) -> None:
+    estimator, state = flying(octo)
+    state, _ = estimator.step(state, measured(octo, (2, 5)))
+    assert state.second_look is not None
+    assert state.decision.among is not None
+
+
+@pytest.mark.parametrize("failed", [(2,), (5,), (2, 4, 5)])
+def test_an_order_ends_what_was_being_told_apart_or_looked_at(octo: Vehicle, failed: tuple[int, ...]) -> None:
+    """Else a motor that the operator lifted would be declared again without a word."""
+    estimator, state = flying(octo)
+    state, estimate = estimator.step(state, measured(octo, failed))
+    assert (state.second_look, state.evidence, state.decision.among) == (None, None, None)
+    assert np.flatnonzero(estimate.failed).tolist() == list(failed)
+
+
+def test_a_motor_that_stands_still_by_its_speed_is_not_taken_back(octo: Vehicle) -> None:
+    estimator, state = flying(octo)
+    state, _ = estimator.step(state, measured(octo, (2, 5), stopped=(2,)))
+    assert state.second_look is None
+    assert state.decision.failed[2]

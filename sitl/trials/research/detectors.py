@@ -10,7 +10,7 @@ from nff_companion.errors import ConfigError
 
 DETECTORS = ("sparse", "published", "imm", "rls", "thrust-loss")
 # Of the published estimate alone a motor is declared that has lost enough of it for long enough: no onset is looked at.
-BY_ESTIMATE_ALONE = Tuning().having("decision", improvement_min=1e9)
+BY_ESTIMATE_ALONE = Tuning().having("decision", improvement_min=1e9, direct_min=1e9)
 
 
 @dataclass(frozen=True, kw_only=True)
