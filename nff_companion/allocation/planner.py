@@ -110,7 +110,8 @@ class Planner:
         if self._prober is not None and (estimate.among or state.probing):
             # Nothing is done about a guess. But what was ordered is, and one of two above each other; and what is left
             # to be done of what was declared.
-            settled = not estimate.either and not state.catching and _planned(state, estimate)
+            caught = state.catching and time_s >= state.caught_s
+            settled = not estimate.either and not caught and _planned(state, estimate)
             asked = settled and tests and not estimate.more and state.refusal is None
             mixed = self.healthy if driven else self._stock
             state = self._probed(self._prober, mixed, state, time_s, estimate, asked=asked)
@@ -124,9 +125,10 @@ class Planner:
         change = float(np.nan_to_num(np.abs(target - state.planned_for), nan=1.0).max())
         declared_s, caught_s = state.declared_s, state.caught_s
         if estimate.events:
-            if len(estimate.events) > 1 or time_s - declared_s < o.double_within_s:
+            declared = sum(event.declared for event in estimate.events)
+            if declared and (declared > 1 or time_s - declared_s < o.double_within_s):
                 caught_s = time_s + o.catch_s
-            declared_s = time_s
+            declared_s = time_s if declared else -np.inf
         catching = time_s < caught_s
         begun = any(state.planned_for[motor] == 1.0 for motor in estimate.either)
         at_once = bool(estimate.events) or begun or (state.catching and not catching)

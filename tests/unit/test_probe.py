@@ -18,6 +18,7 @@ from nff_companion.autopilots.schedule import Declare, Load, ScheduleState, step
 from nff_companion.companion import Companion
 from nff_companion.condition import Condition, Mode
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core.decision import Event
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import HALF
 from nff_companion.core.tuning import Tuning
@@ -244,6 +245,29 @@ def test_a_motor_lifted_in_a_test_is_allocated_again(octo: Vehicle) -> None:
         assert (state.planned_for == 1.0).all()
         assert state.plan is None or state.plan.matrix[2].any()
     assert state.plan is None
+
+
+def test_a_test_is_made_while_a_double_failure_is_caught_and_the_catch_ends_in_its_time(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    both = seen(octo, (), failed=(2, 5))
+    both.events = [Event(0.0, motor, True, 0.0, 1.0) for motor in (3, 6)]
+    state = planner.step(planner.start(), 0.0, both)
+    assert state.catching
+    tested = set()
+    for k in range(1, round(1.5 * TUNING.planner.catch_s / DT_S)):
+        state = planner.step(state, DT_S * k, seen(octo, OPPOSITE, failed=(2, 5)))
+        tested.add(state.probing)
+        assert state.catching == (DT_S * k < TUNING.planner.catch_s)
+    assert tested == {True, False}
+
+
+def test_a_motor_taken_back_is_no_double_failure(octo: Vehicle) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+    declared, lifted = seen(octo, (), failed=(6,)), seen(octo, ())
+    declared.events, lifted.events = [Event(0.0, 7, True, 0.0, 1.0)], [Event(0.07, 7, False, 1.0, 1.0)]
+    state = planner.step(planner.step(planner.start(), 0.0, declared), 0.07, lifted)
+    assert (state.plan, state.catching) == (None, False)
+    assert planner.step(state, 0.2, seen(octo, OPPOSITE)).probing
 
 
 def coax_either(coax: Vehicle) -> Estimate:
