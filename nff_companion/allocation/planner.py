@@ -161,7 +161,11 @@ class Planner:
         if mixed is None:
             return state
         effectiveness = np.nan_to_num(state.planned_for, nan=1.0)
-        probe = prober.step(state.probe, time_s, estimate, effectiveness, asked=asked)
+        try:
+            probe = prober.step(state.probe, time_s, estimate, effectiveness, asked=asked)
+        except np.linalg.LinAlgError:  # no movement could be found: a test is never worth a step
+            ended = prober.refused(state.probe, time_s)
+            return replace(state, probe=ended, plan=settled, settled=None, rejected=state.rejected + 1)
         if probe is state.probe:
             return state
         if probe.move is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from nff_companion.autopilots import times
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from sitl import airframe as plant_airframe
 from sitl import rotation
@@ -20,19 +22,25 @@ from sitl.trials.campaign.fly import fly
 from sitl.trials.campaign.scenario import Scenario
 from sitl.trials.first_seconds import TakeOff
 from sitl.trials.personality import prepared
-from sitl.trials.virtual import TrialOptions, VirtualFlight, temporary_card
+from sitl.trials.virtual import Alter, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
 
 def started(
-    airframe: str, seeds: list[int], faults: Sequence[Fault] = (), *, level: str = "exact", height_m: float = 0.0
+    airframe: str,
+    seeds: list[int],
+    faults: Sequence[Fault] = (),
+    *,
+    level: str = "exact",
+    height_m: float = 0.0,
+    alter: Alter | None = None,
 ) -> VirtualFlight:
     options = FleetOptions(
         seeds=seeds, model_error=0.1, uncertainty=LEVELS[level](), wind_m_s=4.0, turbulence_m_s=1.0, height_m=height_m
     )
     plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(seeds))
     trials = dict.fromkeys(range(len(seeds)), TrialOptions(mode=Mode.ALLOCATE))
-    return VirtualFlight(Fleet(plants, options, list(faults)), trials, airframe=airframe)
+    return VirtualFlight(Fleet(plants, options, list(faults)), trials, airframe=airframe, alter=alter)
 
 
 def taken_off(flight: VirtualFlight, until_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -142,24 +150,33 @@ def test_opposite_motors_are_told_apart_by_a_test_that_the_vehicle_hardly_feels(
         assert np.abs(tested.tilt_deg - alone.tilt_deg)[:until, k].max() < 1.0
 
 
-def test_a_test_whose_end_is_lost_ends_by_itself() -> None:
-    """The link to the autopilot is cut in the middle of a test."""
-    faults = [Fault(vehicle=k, motor=motor, start_s=FAILS_S) for k, lost in enumerate(OPPOSITE) for motor in lost]
-    flight = started("octo-x", [5 + k for k in range(len(OPPOSITE))], faults, level="calibrated", height_m=30.0)
-    cut_s: dict[int, float] = {}
+@pytest.mark.parametrize("lost", ["uplink", "downlink", "samples"])
+def test_a_test_whose_end_is_lost_ends_by_itself(lost: str) -> None:
+    """In the middle of a test the link is cut, one way or the other, or the gyro is not a number any more."""
+    faults = [Fault(vehicle=k, motor=motor, start_s=FAILS_S) for k, pair in enumerate(OPPOSITE) for motor in pair]
+    cut_s: list[float] = []
+
+    def alter(sample: Sample) -> Sample:
+        return replace(sample, gyro_rad_s=np.full(3, np.nan)) if lost == "samples" and cut_s else sample
+
+    seeds = [5 + k for k in range(len(OPPOSITE))]
+    flight = started("octo-x", seeds, faults, level="calibrated", height_m=30.0, alter=alter)
     tested, ports = set[int](), flight.fleet.autopilot.ports
     while flight.fleet.time_s < FAILS_S + 1.0:
         flight.step()
         now_s = flight.fleet.time_s
+        if not cut_s:
+            tested = {k for k, port in enumerate(ports) if port.matrix_at(now_s) is not None}
+            cut_s += [now_s] if tested else []
+            continue
         for k, companion in enumerate(flight.companions):
-            if ports[k].matrix_at(now_s) is not None and companion.output.probing:
-                tested.add(k)
-                cut_s.setdefault(k, now_s)
-            if k in cut_s:
-                companion.up.receive(math.inf)  # lost
-                if now_s > cut_s[k] + times.PROBE_TIMEOUT_S + 0.05:
-                    assert ports[k].matrix_at(now_s) is None
+            if lost != "samples":
+                (companion.up if lost == "uplink" else companion.down).receive(math.inf)  # lost
+            if now_s > cut_s[0] + times.PROBE_TIMEOUT_S + 0.05:
+                assert ports[k].matrix_at(now_s) is None or companion.output.failed.any()
     assert tested
+    if lost != "uplink":  # which we cannot know of but by the autopilot's silence
+        assert {companion.output.mode for companion in flight.companions} == {Mode.OBSERVE}
     assert not flight.fleet.state.crashed.any()
     assert np.degrees(rotation.tilt_of(flight.fleet.state.quaternion)).max() < 20.0
 

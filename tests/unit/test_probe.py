@@ -270,6 +270,18 @@ def test_a_motor_taken_back_is_no_double_failure(octo: Vehicle) -> None:
     assert planner.step(state, 0.2, seen(octo, OPPOSITE)).probing
 
 
+def test_a_solver_that_fails_costs_the_test_and_not_the_step(octo: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
+    planner = Planner(octo, allocator("trim"), TUNING.planner, prober=Prober(octo, TUNING))
+
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    states = flown(planner, octo, 1.0, seen(octo, OPPOSITE))
+    assert not any(state.probing or state.plan for state in states)
+    assert states[-1].rejected == 1  # and not tried again at each sample
+
+
 def coax_either(coax: Vehicle) -> Estimate:
     estimate = seen(coax, ((0, 1), (2, 3)))
     estimate.either = (0, 5)

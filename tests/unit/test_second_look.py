@@ -59,7 +59,8 @@ def test_the_residual_is_that_of_a_vehicle_whose_motor_may_work(octo: Vehicle, r
     matrix, w, motor = octo.acceleration_effectiveness, rng.uniform(0.2, 0.8, 8), int(rng.integers(8))
     whole = rng.normal(size=4)  # measured - B0 w
     without = whole + matrix[:, motor] * w[motor]  # with the motor declared it is expected to give nothing
-    look = SecondLook(onset=None, failed=NOBODY, motor=motor, until_s=0.0)  # type: ignore[arg-type]
+    onset = Estimator(octo, DT_S).start(0.0, np.zeros(3), np.zeros(3), w).onset
+    look = SecondLook(onset=onset, failed=NOBODY, motor=motor, until_s=0.0)
     assert np.allclose(look.residual(without, matrix, w), whole)
 
 
