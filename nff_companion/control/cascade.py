@@ -17,7 +17,7 @@ NOUGHT: Vector = (0.0, 0.0, 0.0)
 
 def clip(value: float, limit: float) -> float:
     """Within +-``limit``."""
-    return min(max(value, -limit), limit)
+    return value if -limit <= value <= limit else min(max(value, -limit), limit)
 
 
 def scaled(a: Vector, k: float) -> Vector:

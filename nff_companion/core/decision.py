@@ -129,7 +129,8 @@ class Decision:
             return []  # by now its size is the model's error: what moves tells which it is
         if best.motors == state.candidate:
             new.since_s = state.since_s
-        wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
+        alone = len(best.motors) == 1 and not best.shared
+        wait = self.tuning.confirm_s if alone else self.tuning.confirm_ambiguous_s
         if time_s - new.since_s >= wait - 1e-9 and len(best.motors) <= room:
             return self._declare(new, time_s, best, best.confidence)
         new.candidate = best.motors

@@ -17,6 +17,7 @@ from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualState
 from nff_companion.core.second_look import SecondLook
+from nff_companion.core.slid_load import SlidLoadState
 from nff_companion.core.weighing import Hypothesis
 
 
@@ -43,6 +44,7 @@ class EstimatorState:
     deviation: NDArray[np.float64]
     evidence: Evidence | None = None  # while a set of losses cannot be told apart
     second_look: SecondLook | None = None  # for a moment after a declaration
+    slid_load: SlidLoadState | None = None  # while a loss is seen that may be none
 
 
 @dataclass(slots=True)

@@ -30,6 +30,7 @@ from nff_companion.core.identification import Decided, Identification
 from nff_companion.core.mates import HALF
 from nff_companion.core.onset import OnsetState
 from nff_companion.core.residual import ResidualFilter
+from nff_companion.core.slid_load import SlidLoad
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import YAW, Vehicle
 from nff_companion.core.weighing import Hypothesis
@@ -63,6 +64,7 @@ class Estimator:
         self._curve = Curve(o.curve, o.disturbance.correlation_s)
         self._identification = Identification(vehicle, dt_s, self._filter.low_pass, o, joint=joint, judged=judged)
         self._onset = self._identification.onset
+        self._slid_load = SlidLoad(vehicle.motors, o.slid_load, o.estimator.clear_loss, o.decision.loss_sudden)
         self._steady = lag_share(dt_s, o.estimator.steady_s)
         self._doubt, self._none = np.array(o.onset.together_error_share), np.zeros(vehicle.axes)
 
@@ -115,22 +117,28 @@ class Estimator:
         information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
         weighed = Weighed()
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
-        decided = Decided(state.decision, [], onset, None)
+        decided, load = Decided(state.decision, [], onset, None), state.slid_load
+        if load is not None:
+            lost = seen.effectiveness_matrix * seen.filtered.thrust_shown
+            load = self._slid_load.grown(load, lost, seen.residual, seen.noise_weight, measurement.dt_s)
         if self.identify:
             weighed = self._identification.weighed(state, seen, onset, measurement)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
                 solved_s = time_s
                 effectiveness = sparse.effectiveness(information, state.decision.failed, self.tuning.sparse)
                 deviation = sparse.deviation(information, self.tuning.sparse.prior_deviation)
+                load = self._slid_load.looked(load, time_s, effectiveness, state.decision.failed)
+                if load is not None and load.slid:
+                    effectiveness = np.where(state.decision.failed, effectiveness, 1.0)
             decided = self._identification.decided(
                 state, seen, weighed, onset, steady, measurement, effectiveness, deviation
             )
         decision, events, best = decided.decision, decided.events, weighed.best
         taken_back = state.second_look is not None and bool(events)
         if taken_back or any(event.declared for event in events) or decision.either != state.decision.either:
-            information = sparse.Information.empty(self.vehicle.motors)
+            information, load = sparse.Information.empty(self.vehicle.motors), None
         suspicious_since_s = None
-        if weighed.suspected:
+        if weighed.suspected and not (load is not None and load.slid):
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
@@ -163,6 +171,7 @@ class Estimator:
             deviation=deviation,
             second_look=decided.second_look,
             evidence=weighed.evidence if decision.among is not None and decision.among.told else None,
+            slid_load=load,
         )
         if decision.either:
             effectiveness = effectiveness.copy()

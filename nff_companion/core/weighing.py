@@ -33,6 +33,7 @@ class Hypothesis:
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
     more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
     moved: bool = False  # told from others by how the residual moves (core/evidence.py)
+    shared: bool = False  # one motor, of all the pairs that explain well
     # This one and those that explain as well, the best first: sets of motors with their losses. Empty: it leads.
     alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
 
@@ -77,6 +78,7 @@ class Weighing:
             others = _beside(two_best, best)
             found = self._describe(tuple(pairs[best]), two, best, sums, others, one_best)
             found = self._with_alike(found, pairs, two, two_best)
+            found = self._shared(found, pairs, two_best, one_best)
             return self._against(self._of_place(found, pairs, two_best, one_best), most + o.pair_min, puller)
         # A pair on both sides of a motor can look like it: such a pair, with its lower prior, is a rival too.
         without = two_best[(pairs != first).all(axis=1)] - o.pair_min
@@ -111,6 +113,33 @@ class Weighing:
         sets = [tuple(motors) for motors in pairs[near].tolist()]
         return replace(found, alike=tuple(zip(sets, map(tuple, losses), strict=True)))
 
+    def _shared(
+        self,
+        found: Hypothesis,
+        pairs: NDArray[np.intp],
+        two_best: NDArray[np.float64],
+        one_best: NDArray[np.float64],
+    ) -> Hypothesis:
+        """The motor that is lost with whatever else ``found`` holds, where that is certain and the rest of it is less
+        than a loss: by a file that is off, a part of another motor explains what one alone cannot."""
+        o = self.tuning
+        least, most = sorted(range(2), key=found.loss.__getitem__)
+        if found.loss[least] >= o.loss_sudden or found.loss[most] < o.loss_settled:
+            return found
+        believed, other = self._ahead(found.motors[most], pairs, two_best, one_best)
+        if believed - other < needed(found.improvement, o):
+            return found
+        motors, loss = (found.motors[most],), (found.loss[most],)
+        return replace(found, motors=motors, loss=loss, margin=believed - other, alike=(), shared=True)
+
+    def _ahead(
+        self, motor: int, pairs: NDArray[np.intp], two_best: NDArray[np.float64], one_best: NDArray[np.float64]
+    ) -> tuple[float, float]:
+        """Improvements: the best in which ``motor`` is lost, alone or with another, and the best in which it is not."""
+        two, with_it = two_best - self.tuning.pair_min, (pairs == motor).any(axis=1)
+        believed = max([float(one_best[motor]), *two[with_it].tolist()])
+        return believed, max([*_beside(one_best, motor).tolist(), *two[~with_it].tolist()], default=0.0)
+
     def _of_place(
         self,
         found: Hypothesis,
@@ -133,9 +162,7 @@ class Weighing:
         sums, _, one_best, _ = _alone(sums, failed, gamma)
         pairs = self._pairs[~failed[self._pairs].any(axis=1)]
         two = hypotheses.pairs(sums.matrix, sums.vector, gamma, pairs[:, 0], pairs[:, 1])
-        two_best, with_it = two.improvement.max(axis=0) - self.tuning.pair_min, (pairs == motor).any(axis=1)
-        believed = max([float(one_best[motor]), *two_best[with_it].tolist()])
-        other = max([*_beside(one_best, motor).tolist(), *two_best[~with_it].tolist()], default=0.0)
+        believed, other = self._ahead(motor, pairs, two.improvement.max(axis=0), one_best)
         return float(other - believed - needed(other, self.tuning))
 
     def suspects(self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float) -> bool:

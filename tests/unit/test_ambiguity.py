@@ -133,3 +133,14 @@ def test_what_moved_tells_two_of_which_less_than_all_seems_lost() -> None:
     assert not Decision(8, 4, TUNING).convincing(less)
     assert Decision(8, 4, TUNING).convincing(replace_hypothesis(less, moved=True))
     assert not Decision(8, 4, TUNING).convincing(replace_hypothesis(less, moved=True, loss=(0.9, 0.4)))
+
+
+@pytest.mark.parametrize("other", range(1, 8))
+def test_a_motor_that_is_lost_whatever_else_is_named_alone(octo: Vehicle, other: int) -> None:
+    """By a file that is off a part of another motor explains what the lost one leaves; no pair would be declared."""
+    lost = np.eye(8)[0] + 0.25 * np.eye(8)[other]
+    best = Weighing(8, TUNING).best(sums_of(octo, lost), np.zeros(8, bool), 0.0)
+    assert best is not None
+    assert best.shared
+    _, events = stepped(octo, lost, 0.1)
+    assert [event.motor for event in events] == [1]

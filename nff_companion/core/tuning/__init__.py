@@ -28,6 +28,7 @@ from nff_companion.core.tuning.estimation import (
     NetworkTuning,
     ResidualTuning,
     SampleRateTuning,
+    SlidLoadTuning,
     SparseTuning,
 )
 from nff_companion.core.tuning.fit import FitTuning
@@ -56,6 +57,7 @@ __all__ = [
     "ResidualTuning",
     "RotorSpeedTuning",
     "SampleRateTuning",
+    "SlidLoadTuning",
     "SparseTuning",
     "Tuning",
     "check",
@@ -72,6 +74,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     adaptation: AdaptationTuning = AdaptationTuning()
     network: NetworkTuning = NetworkTuning()
     sparse: SparseTuning = SparseTuning()
+    slid_load: SlidLoadTuning = SlidLoadTuning()
     onset: OnsetTuning = OnsetTuning()
     decision: DecisionTuning = DecisionTuning()
     estimator: EstimatorTuning = EstimatorTuning()

@@ -197,6 +197,27 @@ class SparseTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = 1.2
 
 
+class SlidLoadTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When what looks like a partial loss is a load that slid (core/slid_load.py)."""
+
+    nats_min: Annotated[
+        float,
+        span(
+            0.5,
+            50.0,
+            "nats",
+            "by which no loss must be likelier by the lift alone. One second after a load slid by a twentieth of the"
+            " arm the lift was 0 to 0.3 of what the loss seen would take away, after losses of 30 to 50 % 0.5 to 1.4",
+        ),
+    ] = 2.0
+    forgetting_per_s: Annotated[
+        float, span(0.05, 10.0, "1/s", "of the lift seen: gusts average out, and what was wrong at first goes")
+    ] = 0.5
+    hold_s: Annotated[
+        float, span(0.0, 10.0, "s", "without a loss seen, after which the next one is looked at anew")
+    ] = 0.5
+
+
 class SampleRateTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """At which rate samples really come (core/sample_rate.py)."""
 
