@@ -20,6 +20,7 @@ _LIFT_S = 0.08  # over which the thrust of the outputs is held to the specific f
 _LEAST_NOISE = 0.01  # m/s^2 and rad/s^2: no sensor is as good
 _THRUST_DOUBT = 10.0  # what moving air does to the thrust is no noise: its axis counts as so much noisier
 _TURNING = (model.ROLL, model.PITCH, model.YAW)
+_CURVE = [model.EXPO, model.IDLE]
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
 _LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.05, 0.03)
@@ -87,6 +88,11 @@ class Problem:
     def mean_output(self) -> float:
         """Of all motors over the record."""
         return float(self._mean)
+
+    @property
+    def layout(self) -> Layout:
+        """Of the vehicle."""
+        return self._layout
 
     def suggested(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """``x`` with gains from the powers of what was measured and what the outputs ask for, between 2 and 8 Hz."""
@@ -256,11 +262,20 @@ def fit(
         scale = deviations[free]
         found = least_squares(problem.residual, x[free], problem.jacobian, x_scale=scale, max_nfev=20, xtol=1e-4)
         x = problem.whole(found.x)
+    made = _known(problem, x, free, explained, prior)
     trim = np.r_[model.motors_of(layout), model.centre_of(layout)]
     if prior.motor > 0.0 and (np.abs(x[trim]) > _NO_VEHICLE * deviations[trim]).any():
-        # Air, taken for motors unlike and a centre of mass elsewhere: the flight tells nothing of these, and the
-        # companion learns them anew in each flight (core/balance.py).
-        return fit(record, layout, filters, inertia, x_start, replace(prior, motor=0.0, centre=0.0), rounds)
+        return _without_trim(made, record, filters, inertia, x_start, prior, rounds)
+    return made
+
+
+def _known(
+    problem: Problem, x: NDArray[np.float64], free: NDArray[np.int64], explained: NDArray[np.float64], prior: Prior
+) -> Fit:
+    """What was found, and how well that is known."""
+    layout = problem.layout
+    deviations = prior.deviations(layout.motors)
+    trim = np.r_[model.motors_of(layout), model.centre_of(layout)]
     jacobian = problem.jacobian(x[free])
     covariance = np.zeros((len(x), len(x)))
     # In deviations of the prior, so that no number is so much smaller than others that rounding eats it.
@@ -276,6 +291,35 @@ def fit(
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)
+
+
+def _without_trim(
+    made: Fit,
+    record: Record,
+    filters: chain.Filters,
+    inertia: tuple[float, float, float],
+    start: NDArray[np.float64],
+    prior: Prior,
+    rounds: int,
+) -> Fit:
+    """``made`` of a record that tells nothing of motors unlike and the centre of mass: the air was taken for them. The
+    companion learns them anew in each flight (core/balance.py).
+
+    The curve stays as it was found beside them: with the trim held to motors all alike, only a flat curve explains that
+    their outputs differ (by 0.45 of its exponent on one of 12 flights, now 0.05).
+    """
+    start = start.copy()
+    start[_CURVE] = made.x[_CURVE]
+    held = replace(prior, motor=0.0, centre=0.0, expo=0.0, idle=0.0)
+    again = fit(record, made.layout, filters, inertia, start, held, rounds)
+    moves = np.eye(len(start))[:, _CURVE]
+    moves[[model.SHAPE + axis for axis in _TURNING]] -= model.steepness(again.x, again.layout, again.mean_output)[1][
+        _CURVE
+    ]
+    covariance = again.covariance + moves @ made.covariance[np.ix_(_CURVE, _CURVE)] @ moves.T
+    before = again.prior.copy()
+    before[_CURVE] = made.prior[_CURVE]
+    return replace(again, covariance=covariance, prior=before)
 
 
 def _left_out(layout: Layout) -> NDArray[np.float64]:

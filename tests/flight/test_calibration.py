@@ -150,6 +150,25 @@ def test_motors_and_centre_of_mass_that_no_owner_has_are_not_believed(rng: np.ra
     assert not told & {"airframe.centre_of_mass_m", "rotor.thrust"}
 
 
+def test_a_trim_that_is_not_believed_bends_no_curve(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Held to motors all alike, only a flat curve explained that their outputs differ: 0.08 for 0.54 on a flight."""
+    vehicle = changed(OCTO, *UNFILTERED)
+    unlike = np.array([1.25, 0.8, 1.2, 0.75, 1.25, 0.8, 1.2, 0.75])
+    rotors = OCTO.split("\n[[rotor]]")
+    text = rotors[0] + "".join(f"\n[[rotor]]{r}\nthrust = {t}\n" for r, t in zip(rotors[1:], unlike, strict=True))
+    flight = flown(changed(text, *UNFILTERED), rng)
+    monkeypatch.setattr(fit, "_NO_VEHICLE", 0.5)
+    found = fitted(flight, vehicle)
+    assert not found.x[model.motors_of(found.layout)].any()
+    monkeypatch.setattr(fit, "_NO_VEHICLE", np.inf)
+    beside = fitted(flight, vehicle)
+    assert beside.x[model.motors_of(beside.layout)].any()
+    curve = [model.EXPO, model.IDLE]
+    np.testing.assert_array_equal(found.x[curve], beside.x[curve])
+    np.testing.assert_allclose(found.deviation[curve], beside.deviation[curve])
+    assert (found.deviation[[model.SHAPE + model.ROLL, model.SHAPE + model.PITCH]] > 0.05).all()
+
+
 def test_the_derivatives_are_those_of_what_is_foretold(rng: np.random.Generator) -> None:
     layout = model.Layout.of(vehicles.load("hexa-x"))
     free = np.arange(model.SHAPE)
