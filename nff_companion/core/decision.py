@@ -7,6 +7,7 @@ back to healthy. It is lifted by the operator, or by evidence while the motor is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -41,6 +42,9 @@ class DecisionState:
     since_s: float = 0.0
     gradual_since_s: dict[int, float] = field(default_factory=dict)  # motors whose effectiveness is low, since when
     healthy_since_s: dict[int, float] = field(default_factory=dict)  # declared motors that work by the evidence
+    doubted_until_s: dict[int, float] = field(
+        default_factory=dict
+    )  # motors taken back: till then not named alone again
 
     @staticmethod
     def start(motors: int) -> DecisionState:
@@ -87,10 +91,11 @@ class Decision:
         eta: list[float] = effectiveness.tolist()
         told = best is None and direct is None and state.among is None and state.more is None
         if told and True not in before and min(eta) > 1.0 - self.tuning.loss_gradual:
-            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either)
+            doubted = state.doubted_until_s
+            quiet = DecisionState(failed=np.zeros(len(eta), bool), either=state.either, doubted_until_s=doubted)
             return (state if state.quiet else quiet), []
         works = (eta, deviation.tolist(), driven.tolist())
-        new = DecisionState(failed=state.failed, either=state.either)
+        new = DecisionState(failed=state.failed, either=state.either, doubted_until_s=state.doubted_until_s)
         shown: list[float] = (driven if turned is None else turned).tolist()
         new.more = self._pulls_more(state, time_s, best)
         if best is not None and best.place and direct is None:
@@ -120,6 +125,8 @@ class Decision:
             return self._declare(new, time_s, direct, 1.0)
         if best is None or not self.convincing(best):
             return []
+        if len(best.motors) == 1 and time_s < state.doubted_until_s.get(best.motors[0], -math.inf):
+            return []  # it was named and taken back a moment ago: nothing flaps
         if min(shown[i] for i in best.motors) < self.tuning.driven:
             return []  # what such a motor could lose is within what the others may be wrong by
         if new.more is not None and new.more.told:

@@ -194,5 +194,7 @@ class Identification:
         behind = self._weighing.behind(sums, look.failed, look.motor, self._tuning.onset.gamma_onset)
         if behind < 0.0:
             return Decided(decision, [], onset, look)
-        taken_back = replace(DecisionState.start(self._motors), failed=look.failed, either=decision.either)
+        doubted = decision.doubted_until_s | {look.motor: time_s + self._tuning.decision.doubted_s}
+        start = DecisionState.start(self._motors)
+        taken_back = replace(start, failed=look.failed, either=decision.either, doubted_until_s=doubted)
         return Decided(taken_back, [Event(time_s, look.motor + 1, False, 1.0, 1.0)], earlier, None)

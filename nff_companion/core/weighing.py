@@ -124,7 +124,7 @@ class Weighing:
         than a loss: by a file that is off, a part of another motor explains what one alone cannot."""
         o = self.tuning
         least, most = sorted(range(2), key=found.loss.__getitem__)
-        if found.loss[least] >= o.loss_sudden or found.loss[most] < o.loss_settled:
+        if found.loss[least] > o.loss_others or found.loss[most] < o.loss_settled:
             return found
         believed, other = self._ahead(found.motors[most], pairs, two_best, one_best)
         if believed - other < needed(found.improvement, o):

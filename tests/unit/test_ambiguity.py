@@ -142,5 +142,5 @@ def test_a_motor_that_is_lost_whatever_else_is_named_alone(octo: Vehicle, other:
     best = Weighing(8, TUNING).best(sums_of(octo, lost), np.zeros(8, bool), 0.0)
     assert best is not None
     assert best.shared
-    _, events = stepped(octo, lost, 0.1)
+    _, events = stepped(octo, lost, 0.2)
     assert [event.motor for event in events] == [1]

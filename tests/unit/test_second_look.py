@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nff_companion.core.ambiguity import Among
+from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.estimate import EstimatorState, Measurement
 from nff_companion.core.estimator import Estimator
 from nff_companion.core.evidence import Evidence
@@ -16,7 +17,7 @@ from nff_companion.core.onset import OnsetSums
 from nff_companion.core.second_look import SecondLook
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import Vehicle
-from nff_companion.core.weighing import Weighing
+from nff_companion.core.weighing import Hypothesis, Weighing
 
 TUNING = Tuning().decision
 DT_S = 0.005
@@ -109,3 +110,28 @@ def test_a_motor_that_stands_still_by_its_speed_is_not_taken_back(octo: Vehicle)
     state, _ = estimator.step(state, measured(octo, (2, 5), stopped=(2,)))
     assert state.second_look is None
     assert state.decision.failed[2]
+
+
+def declared_at(state: DecisionState, best: Hypothesis, *, direct: bool = False) -> tuple[list[int], DecisionState]:
+    """Motors declared within 0.1 s of 10 s."""
+    whole = (np.ones(8), np.full(8, 0.05), np.full(8, 0.5))
+    for k in range(20):
+        state, events = Decision(8, 4, TUNING).step(state, 10.0 + DT_S * k, best, *whole, best if direct else None)
+        if events:
+            return [event.motor for event in events], state
+    return [], state
+
+
+@pytest.mark.parametrize(("until_s", "declared"), [(10.0, [3]), (14.0, [])])
+def test_a_motor_that_was_taken_back_is_not_named_alone_again_at_once(until_s: float, declared: list[int]) -> None:
+    """In forward flight one whose neighbour had lost a part was named and taken back four times in a second."""
+    doubted = replace(DecisionState.start(8), doubted_until_s={2: until_s})
+    alone = Hypothesis((2,), (0.95,), 100.0, 50.0, 0.95, 0.08)
+    found, after = declared_at(doubted, alone)
+    assert found == declared
+    assert after.doubted_until_s == {2: until_s}
+    assert declared_at(doubted, replace(alone, motors=(2, 4), loss=(0.95, 0.95)))[0] == [3, 5]
+    assert declared_at(doubted, alone, direct=True)[0] == [3]
+    whole = (np.ones(8), np.full(8, 0.05), np.full(8, 0.5))
+    kept, _ = Decision(8, 4, TUNING).step(replace(doubted, candidate=(2,)), 11.0, None, *whole)
+    assert kept.doubted_until_s == {2: until_s}

@@ -89,6 +89,9 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     second_look_s: Annotated[
         float, span(0.0, 0.2, "s", "after a declaration, in which it is taken back where something else explains all")
     ] = 0.12
+    doubted_s: Annotated[
+        float, span(0.0, 60.0, "s", "after it was taken back, in which a motor is not named alone again: no flapping")
+    ] = 5.0
     moved_margin_min: Annotated[
         float,
         span(2.0, 100.0, "nats", "over the next of a set, and over none, by how the residual moves with the motors"),
@@ -130,7 +133,13 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         float, span(0.3, 0.95, "", "least loss by the sparse estimate, 1 - xi, where no onset was seen")
     ] = 0.72
     loss_others: Annotated[
-        float, span(0.05, 0.9, "", "of a second motor, beside which nothing gradual is declared: that is unknown air")
+        float,
+        span(
+            0.05,
+            0.9,
+            "",
+            "of a second motor, beside which nothing gradual is declared, nor one named alone: that is unknown air",
+        ),
     ] = 0.30
     deviation_gradual_max: Annotated[
         float, span(0.01, 1.0, "", "of the sparse estimate, to declare a gradual loss by it")
