@@ -74,6 +74,9 @@ class Outcome:
             mode = Mode.ALLOCATE
         if estimate is not None:
             effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
+            held = planning.partial.held
+            if planning.partial.any:
+                effectiveness = read_only(np.where(held < 1.0, held, effectiveness))
         else:
             effectiveness, deviation = self._ones, self._ones
             if failed.any() or state.either:

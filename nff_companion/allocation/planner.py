@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from nff_companion.allocation import Allocator, allocator
+from nff_companion.allocation.partial import Partial, PartialState
 from nff_companion.allocation.plan import Plan, Refusal, make_plan, moved
 from nff_companion.allocation.probe import Prober, ProbeState
 from nff_companion.core import sparse
@@ -23,7 +24,7 @@ class PlannerState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """``plan``: the matrix that should be in force, None: the autopilot's own. Times of the autopilot's clock."""
 
     planned_for: NDArray[np.float64]  # (m,) effectiveness; NaN: not yet solved
-    low_since_s: NDArray[np.float64]  # (m,) since when a motor is partly lost, NaN: it is not
+    partial: PartialState  # losses in part that are allocated around
     plan: Plan | None = None
     refusal: Refusal | None = None
     rejected: int = 0
@@ -62,7 +63,7 @@ class Planner:
     ) -> None:
         """``prober`` None: what cannot be told apart is not tested."""
         self._vehicle, self._allocate, self._tuning = vehicle, allocate, tuning or PlannerTuning()
-        self._prober = prober
+        self._prober, self._partial = prober, Partial(self._tuning)
         self._given_target = target
         whole = np.ones(vehicle.motors)
         healthy = make_plan(allocate, vehicle.effectiveness, whole, vehicle.hover, tuning=self._tuning)
@@ -74,7 +75,7 @@ class Planner:
     def start(self) -> PlannerState:
         """All motors healthy."""
         m = self._vehicle.motors
-        return PlannerState(planned_for=np.ones(m), low_since_s=np.full(m, np.nan))
+        return PlannerState(planned_for=np.ones(m), partial=PartialState.start(m))
 
     def interrupted(self, state: PlannerState) -> PlannerState:
         """Telemetry was interrupted: the plan stays, its times do not."""
@@ -82,6 +83,7 @@ class Planner:
         return replace(
             start,
             planned_for=state.planned_for,
+            partial=state.partial.interrupted(),
             plan=state.settled if state.probing else state.plan,
             refusal=state.refusal,
             rejected=state.rejected,
@@ -90,8 +92,16 @@ class Planner:
 
     def forgotten(self, state: PlannerState) -> PlannerState:
         """The next flight starts with all motors."""
-        whole = np.ones_like(state.planned_for)
-        return replace(state, plan=None, settled=None, probe=ProbeState(), refusal=None, planned_for=whole)
+        start = self.start()
+        return replace(
+            state,
+            plan=None,
+            settled=None,
+            probe=ProbeState(),
+            refusal=None,
+            planned_for=start.planned_for,
+            partial=start.partial,
+        )
 
     def step(
         self,
@@ -119,9 +129,10 @@ class Planner:
                 return state
         full_at = o.shape_full_at if self._given_target is None else 1.0
         clear = float(estimate.effectiveness.min()) >= full_at and not estimate.failed.any() and not estimate.either
+        clear = clear and not state.partial.any
         if clear and state.untouched:
             return state
-        low_since, target = self._target(state, time_s, estimate, trust_partial)
+        partial, target = self._target(state, time_s, estimate, trust_partial)
         change = float(np.nan_to_num(np.abs(target - state.planned_for), nan=1.0).max())
         declared_s, caught_s = state.declared_s, state.caught_s
         if estimate.events:
@@ -134,7 +145,7 @@ class Planner:
         at_once = bool(estimate.events) or begun or (state.catching and not catching)
         state = replace(
             state,
-            low_since_s=low_since,
+            partial=partial,
             declared_s=declared_s,
             caught_s=caught_s,
             catching=catching,
@@ -196,26 +207,20 @@ class Planner:
 
     def _target(
         self, state: PlannerState, time_s: float, estimate: Estimate, trust_partial: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Since when motors are partly lost (m,), and the effectiveness (m,) to allocate for: declared motors gone, a
-        lasting partial loss shaped, the rest whole."""
+    ) -> tuple[PartialState, NDArray[np.float64]]:
+        """Losses in part, and the effectiveness (m,) to allocate for: declared motors gone, a lasting partial loss
+        shaped, the rest whole."""
         o = self._tuning
         if self._given_target is not None:
-            return state.low_since_s, self._given_target(estimate)
-        low = (estimate.effectiveness < o.shape_full_at) & (estimate.deviation < o.deviation_max) & ~estimate.failed
-        if not trust_partial:
-            low &= state.degraded  # what is in force ends with the loss: a doubt that comes and goes must not switch it
-        if int(low.sum()) > 1:
-            low[:] = False  # several partial losses at once have look-alikes: nothing is done on a guess
+            return state.partial, self._given_target(estimate)
+        partial = self._partial.step(state.partial, time_s, estimate, trusted=trust_partial)
         target = np.ones(self._vehicle.motors)
-        low_since = np.where(low, np.fmin(state.low_since_s, time_s), np.nan)
-        if low.any():
-            lasting = time_s - np.nan_to_num(low_since, nan=np.inf) >= o.degraded_for_s
-            shaped = sparse.shape(estimate.effectiveness, o.shape_full_at, o.shape_none_below)
-            target = np.where(low & lasting, np.maximum(shaped, o.partial_min), target)
+        if partial.any:
+            shaped = sparse.shape(partial.held, o.shape_full_at, o.shape_none_below)
+            target = np.where(partial.held < 1.0, np.maximum(shaped, o.partial_min), target)
         target[list(estimate.either)] = HALF
         target[estimate.failed] = 0.0
-        return low_since, target
+        return partial, target
 
 
 def _planned(state: PlannerState, estimate: Estimate) -> bool:

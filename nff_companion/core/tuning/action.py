@@ -59,6 +59,12 @@ class PlannerTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     degraded_for_s: Annotated[
         float, span(0.0, 10.0, "s", "a partial loss is allocated around after this long: a gust is shorter")
     ] = 0.2
+    partial_hold_s: Annotated[
+        float, span(0.0, 60.0, "s", "in which what is allocated around of a motor neither comes nor goes again")
+    ] = 5.0
+    partial_over_s: Annotated[
+        float, span(0.0, 10.0, "s", "without a part lost, after which the motor counts as whole again")
+    ] = 0.5
     resolve_change: Annotated[
         float, span(0.005, 0.5, "", "of a motor's effectiveness, to compute a new matrix: less is noise")
     ] = 0.08
