@@ -123,8 +123,8 @@ class Decision:
         new.since_s = time_s
         if direct is not None and len(direct.motors) <= room:
             return self._declare(new, time_s, direct, 1.0)
-        if best is None or not self.convincing(best):
-            return []
+        if best is None or not self.convincing(best) or (best.shared and self.failed_max < 2):
+            return []  # a vehicle that may not lose two has no pairs of which one motor is sure
         if len(best.motors) == 1 and time_s < state.doubted_until_s.get(best.motors[0], -math.inf):
             return []  # it was named and taken back a moment ago: nothing flaps
         if min(shown[i] for i in best.motors) < self.tuning.driven:

@@ -126,6 +126,8 @@ class Weighing:
         least, most = sorted(range(2), key=found.loss.__getitem__)
         if found.loss[least] > o.loss_others or found.loss[most] < o.loss_settled:
             return found
+        if found.age_s <= o.settled_s or found.explained < o.shared_explained_min:
+            return found
         believed, other = self._ahead(found.motors[most], pairs, two_best, one_best)
         if believed - other < needed(found.improvement, o):
             return found

@@ -112,6 +112,10 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     explained_min: Annotated[
         float, span(0.5, 0.99, "", "share of the residual's energy that is explained: the rest would be something else")
     ] = 0.70
+    shared_explained_min: Annotated[
+        float,
+        span(0.5, 0.99, "", "the same by a pair of which one motor is named: of a tumbling quadrotor a pair made 0.72"),
+    ] = 0.80
     look_share: Annotated[
         float, span(0.1, 1.0, "", "of improvement_min from which a hypothesis is looked at, and learning is frozen")
     ] = 0.5
