@@ -19,7 +19,7 @@ from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.campaign.fly import fly
 from sitl.trials.campaign.run import run
-from sitl.trials.campaign.scenario import Event, Scenario, batches
+from sitl.trials.campaign.scenario import Event, Manoeuvre, Scenario, batches
 from sitl.trials.campaign.store import Store
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
 
@@ -60,6 +60,50 @@ def test_what_is_no_fault_happens_and_is_not_declared() -> None:
         for each in (row, without):
             assert each["wrong"] == [], each
             assert each["survived"], each
+
+
+THREE = ("octo-x", "octo-plus", "coax-x8")
+PLACES: tuple[Manoeuvre, ...] = ("hover", "turn", "forward", "take-off")
+
+
+@pytest.mark.parametrize(("flight", "seconds"), [(36, 2.5), (41, 8.0)])
+def test_a_load_that_slid_is_no_loss(flight: int, seconds: float) -> None:
+    """In hover, a partial loss of motor 5 after 1.9 s; in a turn, motors 1 and 6 partly, and 8 declared."""
+    scenario = Scenario(
+        name="t",
+        flights=72,
+        airframes=THREE,
+        manoeuvres=PLACES,
+        faults=("none",),
+        events=("shift",),
+        seed=51,
+        fly_on_s=seconds,
+    )
+    (row,) = fly(scenario, (flight,))
+    assert (row["event"], row["wrong"], row["partly"], row["either"]) == ("shift", [], [], []), row
+
+
+def test_a_motor_that_is_lost_whatever_explains_the_rest_is_named() -> None:
+    """With a tenth of motor 7 its loss explained more than alone, and it was never named."""
+    scenario = Scenario(name="t", flights=240, airframes=THREE, level="estimated", seed=41, fly_on_s=1.2)
+    (row,) = fly(scenario, (88,))
+    assert (row["named"], row["wrong"]) == (row["motors"], []), row
+
+
+def test_what_is_done_about_a_partial_loss_in_fast_flight_does_not_flap() -> None:
+    """Allocated around and not, eight times in five seconds."""
+    scenario = Scenario(
+        name="t",
+        flights=72,
+        airframes=THREE,
+        manoeuvres=PLACES,
+        faults=("partial",),
+        left=(0.5, 0.7),
+        seed=61,
+        fly_on_s=6.0,
+    )
+    (row,) = fly(scenario, (54,))
+    assert (row["partly"], row["flaps"], row["wrong"]) == (row["motors"], 0, []), row
 
 
 @pytest.mark.parametrize(("flight", "arm"), [(14, [3, 8]), (22, [2, 5])])

@@ -29,6 +29,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "wrong": [],
         "wrong_s": None,
         "changes": 1,
+        "flaps": 0,
         "partly": [],
         "partly_s": None,
         "says": "reallocated",

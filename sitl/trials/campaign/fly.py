@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nff_companion.companion_state import Output
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicles
 from nff_companion.verdict import numbers
@@ -22,6 +23,7 @@ from sitl.trials.research.detectors import detector_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
 
+_FLAPS_S = 5.0
 NOT_IN_FULL = ("partial", "ramp", "intermittent", "stuck", "slow", "blade")  # of the kinds of fault
 
 
@@ -92,6 +94,9 @@ class Record:
         self.among: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(math.inf, ())] * n  # the last sets, and since
 
         self.more: list[dict[int, float]] = [{} for _ in range(n)]  # motors that pull more than asked, and since when
+        self.flaps = [0] * n  # changes of what is done about a motor, within a few seconds of its last one
+        self._about: list[frozenset[int]] = [frozenset()] * n
+        self._changed_s: list[dict[int, float]] = [{} for _ in range(n)]
 
     def note(self, flight: VirtualFlight) -> None:
         """After a cycle."""
@@ -107,6 +112,8 @@ class Record:
         ):
             np.maximum(value, np.where(up, now, 0.0), out=value)
         for k, companion in enumerate(flight.companions):
+            if flies[k]:
+                self._note_changes(k, companion.output, fleet.time_s)
             either = companion.output.either
             if either and not self.either[k][1] and flies[k]:
                 self.either[k] = fleet.time_s, either
@@ -121,6 +128,13 @@ class Record:
             if flies[k] and True in companion.output.degraded.tolist():
                 for motor in numbers(companion.output.degraded):
                     self.partly[k].setdefault(motor, fleet.time_s)
+
+    def _note_changes(self, k: int, output: Output, time_s: float) -> None:
+        about = frozenset((*numbers(output.failed), *numbers(output.degraded), *output.either))
+        for motor in about ^ self._about[k]:
+            self.flaps[k] += time_s - self._changed_s[k].get(motor, -math.inf) < _FLAPS_S
+            self._changed_s[k][motor] = time_s
+        self._about[k] = about
 
     def row(self, with_it: int, alone: int) -> dict[str, Any]:
         """Of a vehicle with the companion and the same without."""
@@ -149,7 +163,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
     named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), or, where
     they are not lost in full, as allocated around (``partly``, the first one at ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
-    ``wrong``: motors named that work; ``changes``: declarations and lifts."""
+    ``wrong``: motors named that work; ``changes``: declarations and lifts; ``flaps``: changes of what is done about a
+    motor within 5 s of its last one."""
     partly, (either_s, one_of), among, more = record.partly[k], record.either[k], record.among[k], record.more[k]
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
     declared = [(time_s, event.motor) for time_s, event in events if event.declared]
@@ -179,6 +194,7 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "wrong": wrong,
         "wrong_s": next((round(time_s, 3) for time_s, motor in declared if motor in wrong), None),
         "changes": len(events),
+        "flaps": record.flaps[k],
         "partly": sorted(partly),
         "partly_s": None if not partly else round(min(partly.values()) - case.at_s, 4),
         "says": companion.session.moment().verdict.text,

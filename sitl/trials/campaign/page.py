@@ -23,6 +23,7 @@ _COLUMNS = {
     "partly": "partly lost",
     "partly_wrong": "of those working",
     "changes_most": "most changes",
+    "flaps": "flaps",
     "survived": "flies on",
     "alone_survived": "alone",
     "tilt_median_deg": "tilt, deg",

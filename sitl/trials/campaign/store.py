@@ -40,6 +40,7 @@ _TYPES = {
     "wrong": "list<int64>",
     "wrong_s": "double",
     "changes": "int64",
+    "flaps": "int64",
     "partly": "list<int64>",
     "partly_s": "double",
     "says": "string",
