@@ -103,7 +103,7 @@ class Decision:
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
         new.among = None if events or new.either != state.either else self._among(state, time_s, best)
-        if not (new.more and new.more.told):
+        if not (new.more and new.more.told) and not (best is not None and best.overruled):
             events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -136,8 +136,9 @@ class Decision:
             return []  # by now its size is the model's error: what moves tells which it is
         if best.motors == state.candidate:
             new.since_s = state.since_s
-        alone = len(best.motors) == 1 and not best.shared
-        wait = self.tuning.confirm_s if alone else self.tuning.confirm_ambiguous_s
+        wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
+        if best.shared:
+            wait = self.tuning.confirm_shared_s
         if time_s - new.since_s >= wait - 1e-9 and len(best.motors) <= room:
             return self._declare(new, time_s, best, best.confidence)
         new.candidate = best.motors

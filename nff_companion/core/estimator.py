@@ -173,11 +173,11 @@ class Estimator:
             evidence=weighed.evidence if decision.among is not None and decision.among.told else None,
             slid_load=load,
         )
+        if decision.more is not None or (best is not None and best.overruled):
+            effectiveness = np.where(decision.failed, effectiveness, 1.0)  # what others seem to lack it does too much
         if decision.either:
             effectiveness = effectiveness.copy()
             effectiveness[list(decision.either)] = HALF
-        if decision.more is not None:
-            effectiveness = np.where(decision.failed, effectiveness, 1.0)  # what others seem to lack it does too much
         estimate = Estimate(
             effectiveness=effectiveness,
             deviation=deviation,

@@ -39,6 +39,16 @@ def more(vector: NDArray[np.float64], square: NDArray[np.float64]) -> tuple[NDAr
     return np.take_along_axis(improvement, best, 0)[0], np.take_along_axis(d, best, 0)[0]
 
 
+def together(matrix: NDArray[np.float64], vector: NDArray[np.float64], motors: tuple[int, ...], most: float) -> float:
+    """Improvement, at its best window, of that ``motors`` (indices) give more than is believed, all by the same share
+    up to ``most``: from S (K, m, m) and q (K, m)."""
+    chosen = list(motors)
+    q = np.add.reduce(vector[:, chosen], axis=1)
+    s = np.add.reduce(matrix[:, chosen][:, :, chosen], axis=(1, 2))
+    c = np.minimum(np.maximum(q / (s + _TINY), 0.0), most)
+    return float((q * c - 0.5 * s * c * c).max())
+
+
 def pairs(
     matrix: NDArray[np.float64],
     vector: NDArray[np.float64],

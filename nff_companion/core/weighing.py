@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core import hypotheses
 from nff_companion.core.ambiguity import needed
-from nff_companion.core.mates import Mates
+from nff_companion.core.mates import HALF, Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import DecisionTuning
 
@@ -38,6 +38,11 @@ class Hypothesis:
     alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
 
     @property
+    def overruled(self) -> bool:
+        """What is no loss explains better: a motor that pulls more, or one believed lost that works again."""
+        return self.margin < 0.0
+
+    @property
     def confidence(self) -> float:
         """Probability against the next hypothesis."""
         return float(1.0 / (1.0 + np.exp(-min(self.margin, 50.0))))
@@ -53,9 +58,10 @@ class Weighing:
     def best(
         self, sums: OnsetSums, failed: NDArray[np.bool_], gamma: float, known: tuple[int, ...] = ()
     ) -> Hypothesis | None:
-        """The hypothesis that explains the windows best, None when none improves enough. ``known``: motors of which it
-        is known already that they pull more, or may."""
+        """The hypothesis that explains the windows best, None when none improves enough. ``known``: two motors above
+        each other, of each of which half is believed lost; where the one that failed works again, both give more."""
         o = self.tuning
+        again = hypotheses.together(sums.matrix, sums.vector, known, 1.0 - HALF) if known else 0.0
         sums, one, one_best, first = _alone(sums, failed, gamma)
         if not self._improves(one_best[first]):
             return None
@@ -66,6 +72,8 @@ class Weighing:
             pulls[list(known)] = 0.0
             puller = int(pulls.argmax())
             most = float(pulls[puller])
+        if again > most:
+            most, puller = again, -1
         if True in failed.tolist():
             pairs = pairs[~failed[pairs].any(axis=1)]
         if len(pairs) == 0:
@@ -88,7 +96,7 @@ class Weighing:
 
     def _against(self, found: Hypothesis, most: float, puller: int) -> Hypothesis:
         """``found``, with its margin over that the motor ``puller`` pulls more than it is asked to, which improves by
-        ``most``: it turns the vehicle as the loss of those on the other side does."""
+        ``most``: it turns the vehicle as the loss of those on the other side does. -1: over what is no failure."""
         ahead = most - found.improvement
         if -ahead >= found.margin:
             return found

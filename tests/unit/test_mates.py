@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.plan import Plan
@@ -16,9 +17,10 @@ from nff_companion.core import vehicle as vehicles
 from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import Mates
+from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import PITCH, ROLL, Vehicle
-from nff_companion.core.weighing import Hypothesis
+from nff_companion.core.weighing import Hypothesis, Weighing
 
 TUNING = Tuning()
 COAX = {1: 6, 2: 5, 3: 8, 4: 7}
@@ -134,3 +136,44 @@ def test_the_tuning_decides_how_sure_yaw_must_be(coax: Vehicle) -> None:
     thrust, residual = np.full(8, 0.4), -coax.acceleration_effectiveness[:, 2] * 0.4
     assert not Mates(coax, strict).told_apart(2, thrust, residual, 0.3, np.zeros(4))
     assert Companion(coax, 200.0, strict).tuning.decision.mates_sure == 10.0
+
+
+def windows(coax: Vehicle, y: NDArray[np.float64]) -> OnsetSums:
+    """Of one window in which every motor is driven at hover, and the residual is ``y`` (4,)."""
+    matrix = coax.acceleration_effectiveness * coax.hover
+    weight = 20.0 / np.array([0.5, 1.5, 1.5, 0.2]) ** 2
+    weighted = matrix * weight[:, None]
+    energy = np.array([float(weight @ y**2)])
+    return OnsetSums((weighted.T @ matrix)[None], (weighted.T @ y)[None], energy, np.array([0.2]))
+
+
+@pytest.mark.parametrize("one", [1, 2, 3, 4])
+def test_where_one_of_the_two_works_again_nobody_across_is_lost(coax: Vehicle, one: int) -> None:
+    """It turns the vehicle as the loss of those on the other side does."""
+    place, weighing = (one - 1, COAX[one] - 1), Weighing(8, TUNING.decision, Mates(coax, TUNING))
+    matrix = coax.acceleration_effectiveness * coax.hover
+    again = windows(coax, 0.5 * matrix[:, place].sum(axis=1))
+    decision, nobody = Decision(8, 4, TUNING.decision, Mates(coax, TUNING)), np.zeros(8, bool)
+    unknown = weighing.best(again, nobody, 0.0)
+    assert unknown is not None
+    known = weighing.best(again, nobody, 0.0, place)
+    assert known is not None
+    assert known.overruled
+    assert not decision.convincing(known)
+    # Nor is it by the sparse estimate, which sees nothing of it.
+    state = DecisionState(failed=nobody, either=place)
+    eta = np.where(np.arange(8) == known.motors[0], 0.05, 1.0)
+    for k in range(200):
+        state, events = decision.step(state, 0.005 * k, known, eta, np.full(8, 0.02), np.full(8, 0.4))
+        assert events == []
+
+
+@pytest.mark.parametrize("lost", range(8))
+def test_another_that_is_lost_beside_one_of_the_two_is_named(coax: Vehicle, lost: int) -> None:
+    place = next((one - 1, other - 1) for one, other in COAX.items() if lost + 1 not in (one, other))
+    weighing = Weighing(8, TUNING.decision, Mates(coax, TUNING))
+    matrix = coax.acceleration_effectiveness * coax.hover
+    best = weighing.best(windows(coax, -matrix[:, lost]), np.zeros(8, bool), 0.0, place)
+    assert best is not None
+    assert best.motors == (lost,)
+    assert best.margin > TUNING.decision.margin_min

@@ -157,6 +157,9 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     confirm_ambiguous_s: Annotated[
         float, span(0.0, 1.0, "s", "a pair must lead for so long: it has more look-alikes")
     ] = 0.015
+    confirm_shared_s: Annotated[
+        float, span(0.0, 1.0, "s", "a motor must be in all pairs that explain well for so long, where none does alone")
+    ] = 0.05
     mates_alike: Annotated[
         float,
         span(
