@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimates import hovering
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
@@ -15,7 +16,6 @@ from nff_companion.allocation.planner import Planner
 from nff_companion.companion import Companion
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.decision import Decision, DecisionState
-from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
 from nff_companion.core.tuning import Tuning
@@ -102,21 +102,7 @@ def test_what_is_believed_stays_when_nothing_shows_any_more(coax: Vehicle) -> No
 
 def test_the_matrix_for_either_gives_both_the_same_and_lifts_by_one(coax: Vehicle) -> None:
     planner = Planner(coax, allocator("trim"), TUNING.planner)
-    whole = np.ones(8)
-    estimate = Estimate(
-        effectiveness=np.where(np.isin(np.arange(8), (2, 7)), 0.5, 1.0),
-        deviation=0.02 * whole,
-        failed=np.zeros(8, bool),
-        raw=np.zeros(4),
-        residual=np.zeros(4),
-        disturbance=np.zeros(4),
-        features=None,
-        thrust_shown=0.4 * whole,
-        lateral_m_s2=np.zeros(2),
-        best=None,
-        events=[],
-        either=(2, 7),
-    )
+    estimate = hovering(coax, np.where(np.isin(np.arange(8), (2, 7)), 0.5, 1.0), either=(2, 7))
     state = planner.step(planner.start(), 5.0, estimate)
     assert isinstance(state.plan, Plan), "at once"
     assert np.flatnonzero(state.degraded).tolist() == [2, 7]

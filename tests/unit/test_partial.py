@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimates import hovering
 from numpy.typing import NDArray
 
 from nff_companion.allocation.partial import Partial, PartialState
+from nff_companion.core import vehicle
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import PlannerTuning
 
@@ -16,20 +18,7 @@ WHOLE = np.ones(8)
 
 
 def estimate_of(effectiveness: NDArray[np.float64], failed: tuple[int, ...] = (), deviation: float = 0.05) -> Estimate:
-    nothing = np.zeros(4)
-    return Estimate(
-        effectiveness=effectiveness,
-        deviation=np.full(8, deviation),
-        failed=np.isin(np.arange(8), failed),
-        raw=nothing,
-        residual=nothing,
-        disturbance=nothing,
-        features=None,
-        thrust_shown=np.full(8, 0.4),
-        lateral_m_s2=np.zeros(2),
-        best=None,
-        events=[],
-    )
+    return hovering(vehicle.load("octo-x"), effectiveness, failed=failed, deviation=np.full(8, deviation))
 
 
 def less(motor: int, left: float) -> NDArray[np.float64]:

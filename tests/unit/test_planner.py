@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimates import hovering
 
 from nff_companion.allocation import allocator
 from nff_companion.allocation.planner import Planner, PlannerState
@@ -16,20 +17,7 @@ LEFT = 0.6  # of motor 3
 def partly_lost(octo: Vehicle) -> Estimate:
     effectiveness = np.ones(octo.motors)
     effectiveness[2] = LEFT
-    nothing = np.zeros(octo.axes)
-    return Estimate(
-        effectiveness=effectiveness,
-        deviation=np.full(octo.motors, 0.02),
-        failed=np.zeros(octo.motors, bool),
-        raw=nothing,
-        residual=nothing,
-        disturbance=nothing,
-        features=None,
-        thrust_shown=np.full(octo.motors, octo.hover),
-        lateral_m_s2=np.zeros(2),
-        best=None,
-        events=[],
-    )
+    return hovering(octo, effectiveness)
 
 
 @pytest.mark.parametrize("trusted", [True, False])

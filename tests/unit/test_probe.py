@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from estimates import hovering
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -33,23 +34,7 @@ DT_S = 0.005
 
 
 def seen(vehicle: Vehicle, among: tuple[tuple[int, ...], ...], failed: tuple[int, ...] = ()) -> Estimate:
-    nothing, gone = np.zeros(vehicle.axes), np.zeros(vehicle.motors, bool)
-    gone[list(failed)] = True
-    return Estimate(
-        effectiveness=np.where(gone, 0.0, 1.0),
-        deviation=np.full(vehicle.motors, 0.02),
-        failed=gone,
-        raw=nothing,
-        residual=nothing,
-        disturbance=nothing,
-        features=None,
-        thrust_shown=np.full(vehicle.motors, vehicle.hover),
-        lateral_m_s2=np.zeros(2),
-        best=None,
-        events=[],
-        among=among,
-        variance=VARIANCE,
-    )
+    return hovering(vehicle, failed=failed, among=among, variance=VARIANCE)
 
 
 def full(motors: int, *sets: tuple[int, ...]) -> list[NDArray[np.float64]]:
