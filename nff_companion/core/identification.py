@@ -123,11 +123,11 @@ class Identification:
         since_s = 0.0 if state.suspicious_since_s is None else time_s - state.suspicious_since_s
         return not min(o.freeze_max_s, o.freeze_sure_s) <= since_s < max(o.freeze_max_s, o.freeze_sure_s)
 
-    @staticmethod
-    def _yaw_error(state: EstimatorState, seen: Seen) -> float:
+    def _yaw_error(self, state: EstimatorState, seen: Seen) -> float:
         """Yaw torque not modelled, as a share of roll and pitch torque: the rotors' side drag."""
         lateral = math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())
-        return float(state.side_drag.variance**0.5 * lateral / GRAVITY_M_S2)
+        doubt = self._tuning.disturbance.share_doubt
+        return math.sqrt(state.side_drag.variance + doubt * doubt) * lateral / GRAVITY_M_S2
 
     def _longer(self, state: EstimatorState, seen: Seen, weighed: Weighed, time_s: float) -> Weighed:
         """While a set of losses cannot be told apart: with the one of them as the best by which the residual moves,
