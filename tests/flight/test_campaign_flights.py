@@ -98,6 +98,15 @@ def test_one_of_the_two_that_works_again_does_not_look_like_the_loss_of_one_acro
     assert (row["either"], row["wrong"], row["survived"]) == ([2, 5], [], True), row
 
 
+def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it() -> None:
+    """Its yaw is what its drag was, beside what it turned; taken for the yaw of 5 and 6, the vehicle crashed."""
+    scenario = Scenario(name="t", flights=240, airframes=THREE, level="estimated", seed=43, fly_on_s=1.0)
+    (row,) = fly(scenario, (103,))
+    assert (row["manoeuvre"], row["motors"], row["named"], row["wrong"]) == ("forward", [7], [7], []), row
+    assert row["delay_s"] < 0.15
+    assert row["survived"]
+
+
 def test_what_is_done_about_a_partial_loss_in_fast_flight_does_not_flap() -> None:
     """Allocated around and not, eight times in five seconds."""
     scenario = Scenario(
