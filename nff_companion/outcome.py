@@ -76,7 +76,9 @@ class Outcome:
             effectiveness, deviation = _shut(estimate.effectiveness), _shut(estimate.deviation)
             held = planning.partial.held
             if planning.partial.any:
-                effectiveness = read_only(np.where(held < 1.0, held, effectiveness))
+                partly = (held < 1.0) & ~estimate.failed
+                partly[list(estimate.either)] = False
+                effectiveness = read_only(np.where(partly, held, effectiveness))
         else:
             effectiveness, deviation = self._ones, self._ones
             if failed.any() or state.either:

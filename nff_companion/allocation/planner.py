@@ -142,7 +142,8 @@ class Planner:
             declared_s = time_s if declared else -np.inf
         catching = time_s < caught_s
         begun = any(state.planned_for[motor] == 1.0 for motor in estimate.either)
-        at_once = bool(estimate.events) or begun or (state.catching and not catching)
+        ended = change > 0.0 and float(target.min()) == 1.0
+        at_once = bool(estimate.events) or begun or ended or (state.catching and not catching)
         state = replace(
             state,
             partial=partial,

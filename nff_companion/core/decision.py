@@ -44,7 +44,7 @@ class DecisionState:
     healthy_since_s: dict[int, float] = field(default_factory=dict)  # declared motors that work by the evidence
     doubted_until_s: dict[int, float] = field(
         default_factory=dict
-    )  # motors taken back: till then not named alone again
+    )  # motors taken back: till then no window names them alone
 
     @staticmethod
     def start(motors: int) -> DecisionState:
@@ -103,7 +103,9 @@ class Decision:
         else:
             events = self._sudden(state, new, time_s, best, direct, shown)
         new.among = None if events or new.either != state.either else self._among(state, time_s, best)
-        if not (new.more and new.more.told) and not (best is not None and best.overruled):
+        if best is not None and best.overruled:
+            new.gradual_since_s = state.gradual_since_s
+        elif not (new.more and new.more.told):
             events += self._gradual(state, new, time_s, *works)
         if True in before:
             events += self._lift(state, new, time_s, *works)
@@ -157,10 +159,12 @@ class Decision:
         lost = best.improvement >= o.improvement_min and best.explained >= o.explained_min
         if not (lost and best.beside >= o.margin_min and sum(best.loss) >= o.loss_sudden):
             return []
+        if best.shared and self.failed_max < 2:
+            return []
         if max(shown[i] for i in place) < o.driven or (state.either and state.either != place):
             return []
         new.candidate, new.since_s = place, state.since_s if state.candidate == place else time_s
-        if time_s - new.since_s < o.confirm_ambiguous_s - 1e-9:
+        if time_s - new.since_s < (o.confirm_shared_s if best.shared else o.confirm_ambiguous_s) - 1e-9:
             return []
         new.candidate = ()
         if not state.either:

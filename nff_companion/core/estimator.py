@@ -114,13 +114,13 @@ class Estimator:
         if state.decision.either != measurement.either:
             state = _ordered(replace(state, decision=replace(state.decision, either=measurement.either)))
         seen = self._explain(state, measurement)
-        information, onset, steady = self._accumulate(state, seen, measurement.dt_s)
+        information, onset, steady, weight = self._accumulate(state, seen, measurement.dt_s)
         weighed = Weighed()
         solved_s, effectiveness, deviation = state.solved_s, state.effectiveness, state.deviation
         decided, load = Decided(state.decision, [], onset, None), state.slid_load
         if load is not None:
             lost = seen.effectiveness_matrix * seen.filtered.thrust_shown
-            load = self._slid_load.grown(load, lost, seen.residual, seen.noise_weight, measurement.dt_s)
+            load = self._slid_load.grown(load, lost, seen.residual, weight, measurement.dt_s)
         if self.identify:
             weighed = self._identification.weighed(state, seen, onset, measurement)
             if time_s - solved_s >= self.tuning.sparse.solve_interval_s - 1e-9:
@@ -249,8 +249,8 @@ class Estimator:
 
     def _accumulate(
         self, state: EstimatorState, seen: Seen, dt_s: float
-    ) -> tuple[sparse.Information, OnsetState, NDArray[np.float64]]:
-        """S and q, the history of the onsets, and the slow part of w, with this sample."""
+    ) -> tuple[sparse.Information, OnsetState, NDArray[np.float64], NDArray[np.float64]]:
+        """S and q, the history of the onsets, and the slow part of w, with this sample; and its weight (n,)."""
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
         # What the motors turn beyond their steady part the file may have wrong: of that much nothing is evidence.
         doubtful = self._doubt * matrix.dot(w - state.steady)
@@ -259,7 +259,7 @@ class Estimator:
         forgetting = self.tuning.sparse.forgetting_per_s
         information = sparse.update(state.information, matrix * w, seen.residual, weight, dt_s, forgetting)
         steady = state.steady + self._steady * (w - state.steady)
-        return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady
+        return information, self._onset.push(state.onset, w, seen.residual, matrix, steady), steady, weight
 
     def _learn(
         self,
@@ -351,7 +351,7 @@ class Estimator:
 
 def _ordered(state: EstimatorState) -> EstimatorState:
     """After an order has changed what is declared: what was being told apart, or looked at again, was of before."""
-    return replace(state, decision=replace(state.decision, among=None), evidence=None, second_look=None)
+    return replace(state, decision=replace(state.decision, among=None), evidence=None, second_look=None, slid_load=None)
 
 
 def _shut(estimate: Estimate) -> None:

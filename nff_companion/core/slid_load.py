@@ -8,7 +8,7 @@ under none. Where none is likelier the motors count as whole, and what turns the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,13 @@ from nff_companion.core.vehicle import THRUST
 
 @dataclass(frozen=True, slots=True)
 class SlidLoadState:
-    """What the thrust axis has shown since a loss was first seen, when it was seen last, and whether it is a load's."""
+    """What the thrust axis has shown since a loss was first seen, or a larger one than before; that loss; when one was
+    seen last, and whether it is a load's."""
 
     lift: sparse.Information
+    loss: float
     seen_s: float
+    seen: bool = True
     slid: bool = False
 
 
@@ -44,11 +47,13 @@ class SlidLoad:
         dt_s: float,
     ) -> SlidLoadState:
         """With one sample: ``lost`` B0 diag(w) (n, m), ``residual`` (n,), ``noise_weight`` (n,) as of the program."""
+        if not state.seen:
+            return state
         row = slice(THRUST, THRUST + 1)
         lift = sparse.update(
             state.lift, lost[row], residual[row], noise_weight[row], dt_s, self._tuning.forgetting_per_s
         )
-        return SlidLoadState(lift, state.seen_s, state.slid)
+        return replace(state, lift=lift)
 
     def looked(
         self, state: SlidLoadState | None, time_s: float, effectiveness: NDArray[np.float64], failed: NDArray[np.bool_]
@@ -59,9 +64,9 @@ class SlidLoad:
         least = 1.0 - float(loss.max())
         if least >= self._seen:
             over = state is None or time_s - state.seen_s > self._tuning.hold_s
-            return None if over else state
-        if state is None:
-            return SlidLoadState(sparse.Information.empty(self._motors), time_s)
+            return None if over or state is None else replace(state, seen=False)
+        if state is None or 1.0 - least > state.loss + self._tuning.grown_by:
+            return SlidLoadState(sparse.Information.empty(self._motors), 1.0 - least, time_s)
         nats = -float(state.lift.vector.dot(loss)) - 0.5 * float(loss.dot(state.lift.matrix).dot(loss))
         slid = least > self._lost and nats < -self._tuning.nats_min
-        return SlidLoadState(state.lift, time_s, slid)
+        return replace(state, seen_s=time_s, seen=True, slid=slid)

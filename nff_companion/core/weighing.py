@@ -34,13 +34,10 @@ class Hypothesis:
     more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
     moved: bool = False  # told from others by how the residual moves (core/evidence.py)
     shared: bool = False  # one motor, of all the pairs that explain well
+    # What is no loss explains better: a motor that pulls more, or one believed lost that works again.
+    overruled: bool = False
     # This one and those that explain as well, the best first: sets of motors with their losses. Empty: it leads.
     alike: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
-
-    @property
-    def overruled(self) -> bool:
-        """What is no loss explains better: a motor that pulls more, or one believed lost that works again."""
-        return self.margin < 0.0
 
     @property
     def confidence(self) -> float:
@@ -101,7 +98,8 @@ class Weighing:
         if -ahead >= found.margin:
             return found
         more = puller if ahead > self.tuning.margin_min and most > self.tuning.more_improvement_min else -1
-        return replace(found, margin=-ahead, beside=min(found.beside, -ahead), alike=(), more=more)
+        overruled = ahead > self.tuning.margin_min
+        return replace(found, margin=-ahead, beside=min(found.beside, -ahead), alike=(), more=more, overruled=overruled)
 
     def _with_alike(
         self,
@@ -164,7 +162,8 @@ class Weighing:
         elsewhere = [score for i, score in enumerate(one_best.tolist()) if i not in place]
         apart = ~np.isin(pairs, place).any(axis=1)
         two = (two_best[apart] - self.tuning.pair_min).tolist()
-        return replace(found, beside=found.improvement - max([*elsewhere, *two], default=0.0))
+        mine = found.improvement - (self.tuning.pair_min if found.shared else 0.0)
+        return replace(found, beside=mine - max([*elsewhere, *two], default=0.0))
 
     def behind(self, sums: OnsetSums, failed: NDArray[np.bool_], motor: int, gamma: float) -> float:
         """By how many nats, beyond what tells hypotheses apart, ``motor`` alone and every pair with it are behind the

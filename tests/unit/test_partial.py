@@ -100,3 +100,29 @@ def test_what_is_held_stays_over_a_gap_for_its_time() -> None:
     assert course.state.held[2] == 0.5
     course.fly(0.2, estimate_of(WHOLE))
     assert not course.state.any
+
+
+def test_of_one_of_two_above_each_other_nothing_is_held() -> None:
+    course = Course()
+    course.fly(1.0, estimate_of(less(2, 0.5)))
+    either = hovering(vehicle.load("coax-x8"), np.where(np.isin(np.arange(8), (2, 7)), 0.5, 1.0), either=(2, 7))
+    course.fly(0.1, either)
+    assert not course.state.any
+
+
+def test_what_no_matrix_would_be_made_for_is_not_held_and_stands_in_nobodys_way() -> None:
+    course = Course()
+    course.fly(1.0, estimate_of(less(2, 0.74)))
+    assert not course.state.any
+    course.fly(0.3, estimate_of(less(5, 0.4)))
+    assert course.state.held[5] == 0.4
+
+
+def test_a_loss_before_a_pause_is_not_a_lasting_one() -> None:
+    course = Course()
+    course.fly(0.1, estimate_of(less(2, 0.5)))
+    course.time_s += 3.0  # a set stood, and nothing was looked at
+    course.fly(0.1, estimate_of(less(2, 0.5)))
+    assert not course.state.any
+    course.fly(0.2, estimate_of(less(2, 0.5)))
+    assert course.state.any

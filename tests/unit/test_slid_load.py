@@ -70,10 +70,25 @@ def test_without_a_loss_nothing_is_looked_at_and_the_next_one_is_seen_anew(octo:
     assert load.looked(None, 0.0, whole, WHOLE) is None
     state = seen(octo, 0.3, 0.0, 2.5)
     assert state is not None
-    assert load.looked(state, state.seen_s + 0.4, whole, WHOLE) is state
-    assert load.looked(state, state.seen_s + 0.6, whole, WHOLE) is None
+    held = load.looked(state, state.seen_s + 0.05, whole, WHOLE)
+    assert held is not None
+    assert load.grown(held, np.ones((4, 8)), np.ones(4), WEIGHT, 0.005) is held, "what comes now is not of the loss"
+    assert load.looked(held, state.seen_s + 0.2, whole, WHOLE) is None
 
 
 def test_what_declared_motors_give_is_no_loss(octo: Vehicle) -> None:
     effectiveness = 1.0 - np.eye(8)[2]
     assert watch().looked(None, 0.0, effectiveness, np.eye(8, dtype=bool)[2]) is None
+
+
+def test_a_larger_loss_is_another_one(octo: Vehicle) -> None:
+    """Else what the lift did not show of a small one would be held against it."""
+    load, lost = watch(), octo.acceleration_effectiveness * octo.hover
+    state = seen(octo, 0.15, 0.0, 4.0)
+    assert state is not None
+    assert state.slid
+    for k in range(1, 200):
+        state = load.grown(state, lost, -lost[:, 4] * 0.5, WEIGHT, 0.005)
+        state = load.looked(state, 4.0 + 0.005 * k, 1.0 - 0.5 * np.eye(8)[4], WHOLE)
+        assert state is not None
+        assert not state.slid

@@ -62,6 +62,9 @@ class PlannerTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     partial_hold_s: Annotated[
         float, span(0.0, 60.0, "s", "in which what is allocated around of a motor neither comes nor goes again")
     ] = 5.0
+    partial_pause_s: Annotated[
+        float, span(0.01, 1.0, "s", "between two samples, after which a loss seen before does not count as lasting")
+    ] = 0.1
     partial_over_s: Annotated[
         float, span(0.0, 10.0, "s", "without a part lost, after which the motor counts as whole again")
     ] = 0.5

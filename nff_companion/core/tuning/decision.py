@@ -90,7 +90,8 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         float, span(0.0, 0.2, "s", "after a declaration, in which it is taken back where something else explains all")
     ] = 0.12
     doubted_s: Annotated[
-        float, span(0.0, 60.0, "s", "after it was taken back, in which a motor is not named alone again: no flapping")
+        float,
+        span(0.0, 60.0, "s", "after it was taken back, in which no window names a motor alone again: no flapping"),
     ] = 5.0
     moved_margin_min: Annotated[
         float,

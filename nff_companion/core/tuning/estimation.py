@@ -225,7 +225,10 @@ class SlidLoadTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     ] = 0.5
     hold_s: Annotated[
         float, span(0.0, 10.0, "s", "without a loss seen, after which the next one is looked at anew")
-    ] = 0.5
+    ] = 0.1
+    grown_by: Annotated[
+        float, span(0.02, 1.0, "", "that a loss is larger than when it was first seen: then it is another one")
+    ] = 0.1
 
 
 class SampleRateTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

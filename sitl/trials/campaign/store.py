@@ -92,7 +92,8 @@ class Store:
         """All that is kept of ``batches``, by flight; one file ``flights.parquet`` has them too."""
         read = self._arrow.parquet.read_table
         tables = [read(self._part(batch)) for batch in batches if self._part(batch).exists()]
-        whole = self._arrow.concat_tables([*tables, self._table([])]).sort_by("flight")
+        # Parts that an earlier version kept may lack a column.
+        whole = self._arrow.concat_tables([*tables, self._table([])], promote_options="default").sort_by("flight")
         self._write(self.folder / _ROWS, whole)
         return list(whole.to_pylist())
 

@@ -44,7 +44,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "partly": sum(bool(row["partly"]) for row in rows),
         "partly_wrong": sum(bool(set(row["partly"]) - set(row["motors"])) for row in rows),  # of a motor that works
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
-        "flaps": sum(row["flaps"] for row in rows),  # changes of a motor within 5 s of its last one
+        "flaps": sum(row["flaps"] or 0 for row in rows),  # changes of a motor within 5 s of its last one
         "hours": round(hours, 3),
         "delay_median_s": round(float(np.median(delays)), 4) if delays.size else None,
         "delay_p99_s": round(float(np.percentile(delays, 99.0)), 4) if delays.size else None,
