@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.core import works_again
 from nff_companion.core.decision import Decision, DecisionState, Event
 from nff_companion.core.estimate import EstimatorState, Measurement, Seen, Weighed
 from nff_companion.core.evidence import Evidence
@@ -114,7 +115,10 @@ class Identification:
             return Weighed(self._weighing.suspects(sums, failed, gamma))
         direct = self._weighing.direct(sums, failed, hint, gamma) if 1 <= len(hint) <= 2 else None
         # Of one of two half is believed lost: where that one works again both seem to pull more.
-        best = self._weighing.best(sums, failed, gamma, state.decision.either)
+        either = state.decision.either
+        best = self._weighing.best(sums, failed, gamma, either)
+        if either and best is not None:
+            best = works_again.beside(best, sums, either, failed, gamma, self._tuning.decision)
         return Weighed(best is not None, best, direct)
 
     def _learns_alike(self, state: EstimatorState, time_s: float) -> bool:

@@ -15,6 +15,7 @@ from nff_companion.allocation.plan import Plan
 from nff_companion.allocation.planner import Planner
 from nff_companion.companion import Companion
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core import works_again
 from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
@@ -163,3 +164,20 @@ def test_another_that_is_lost_beside_one_of_the_two_is_named(coax: Vehicle, lost
     assert best is not None
     assert best.motors == (lost,)
     assert best.margin > TUNING.decision.margin_min
+
+
+@pytest.mark.parametrize("again", [0.0, 0.5])
+@pytest.mark.parametrize("lost", range(8))
+def test_another_that_fails_while_one_of_the_two_works_again_is_named_or_nobody(
+    coax: Vehicle, lost: int, again: float
+) -> None:
+    place = next((one - 1, other - 1) for one, other in COAX.items() if lost + 1 not in (one, other))
+    decision = Decision(8, 4, TUNING.decision, Mates(coax, TUNING))
+    matrix, nobody = coax.acceleration_effectiveness * coax.hover, np.zeros(8, bool)
+    sums = windows(coax, again * matrix[:, place].sum(axis=1) - matrix[:, lost])
+    alone = Weighing(8, TUNING.decision, Mates(coax, TUNING)).best(sums, nobody, 0.0, place)
+    assert alone is not None
+    best = works_again.beside(alone, sums, place, nobody, 0.0, TUNING.decision)
+    named = best.motors if decision.convincing(best) and not best.overruled else ()
+    assert named in ((), (lost,)), best
+    assert again or named
