@@ -157,9 +157,11 @@ class Decision:
         """One of two motors above each other: which of them is not told. Where one was believed lost already, both."""
         o, place = self.tuning, best.place
         lost = best.improvement >= o.improvement_min and best.explained >= o.explained_min
-        if not (lost and best.beside >= o.margin_min and sum(best.loss) >= o.loss_sudden):
+        # That the other one is lost too takes the whole arm off: one that turns the wrong way looks like part of it.
+        least = o.loss_settled if state.either else o.loss_sudden
+        if not (lost and best.beside >= o.margin_min and sum(best.loss) >= least):
             return []
-        if best.shared and self.failed_max < 2:
+        if (best.shared and self.failed_max < 2) or (new.more is not None and new.more.told):
             return []
         if max(shown[i] for i in place) < o.driven or (state.either and state.either != place):
             return []

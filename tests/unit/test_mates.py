@@ -16,6 +16,7 @@ from nff_companion.allocation.planner import Planner
 from nff_companion.companion import Companion
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core import works_again
+from nff_companion.core.ambiguity import Among
 from nff_companion.core.decision import Decision, DecisionState
 from nff_companion.core.mates import Mates
 from nff_companion.core.onset import OnsetSums
@@ -181,3 +182,21 @@ def test_another_that_fails_while_one_of_the_two_works_again_is_named_or_nobody(
     named = best.motors if decision.convincing(best) and not best.overruled else ()
     assert named in ((), (lost,)), best
     assert again or named
+
+
+def test_a_part_more_than_one_of_the_two_is_not_the_other_one_too(coax: Vehicle) -> None:
+    """One that turned the wrong way seemed 0.62 more than lost, and its whole arm was taken off."""
+    state = DecisionState(failed=np.zeros(8, bool), either=(3, 6))
+    found = Hypothesis((3,), (0.65,), 200.0, 20.0, 0.97, 0.2, beside=20.0, place=(3, 6))
+    after, named = weighed(coax, 40, state, found)
+    assert (named, after.either) == ([], (3, 6))
+    _, named = weighed(coax, 40, state, replace(found, loss=(0.95,)))
+    assert named[:2] == [4, 7]
+
+
+def test_while_a_motor_pulls_more_no_other_two_are_doubted(coax: Vehicle) -> None:
+    pulls = Among(((1, 4),), 4.0, 5.0, told=True)
+    state = DecisionState(failed=np.zeros(8, bool), more=pulls)
+    found = Hypothesis((6,), (0.9,), 100.0, 20.0, 0.9, 0.2, beside=20.0, place=(3, 6))
+    after, named = weighed(coax, 40, state, found)
+    assert (named, after.either) == ([], ())
