@@ -4,7 +4,6 @@ out compared with the truth; and, flown with them, how soon each motor's failure
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import tempfile
 from collections.abc import Callable
@@ -26,6 +25,7 @@ from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
 from sitl.trials import flown_log, true_file
+from sitl.trials.pool import pool_of
 from sitl.trials.virtual import TrialOptions, VirtualFlight
 from sitl.uncertainty import Uncertainty
 
@@ -53,7 +53,7 @@ def measure(options: CalibrationOptions, workers: int | None = None) -> dict[str
     count = min(workers or os.cpu_count() or 1, options.vehicles)
     with tempfile.TemporaryDirectory(prefix="nff-calibration-") as folder:
         jobs = [(options, list(seeds)[k::count], folder) for k in range(count)]
-        with multiprocessing.get_context("spawn").Pool(count) as pool:
+        with pool_of(count) as pool:
             vehicles = sorted((v for part in pool.starmap(_vehicles, jobs) for v in part), key=lambda v: int(v["seed"]))
     return {
         "airframe": options.airframe,

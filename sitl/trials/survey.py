@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import multiprocessing
 import os
 import statistics
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward, healthy
 from sitl.trials.comparison import rms_ratio
 from sitl.trials.personality import prepared
+from sitl.trials.pool import pool_of
 from sitl.trials.research.detectors import detector_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import LEVELS
@@ -131,7 +131,7 @@ def _spread(
     if count == 1:
         parts = [function(options, shares[0])]
     else:
-        with multiprocessing.get_context("spawn").Pool(count) as pool:
+        with pool_of(count) as pool:
             parts = pool.starmap(function, [(options, share) for share in shares])
     out: list[dict[str, Any]] = [{} for _ in flights]
     for k, part in enumerate(parts):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 
 from nff_companion.core import vehicle as vehicle_model
@@ -10,6 +9,7 @@ from nff_companion.training.dataset import Condition, Dataset, Recorder
 from sitl import airframe as plant_airframe
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials import forward
+from sitl.trials.pool import pool_of
 from sitl.trials.virtual import sample_of
 
 RATE_HZ = 200.0
@@ -35,7 +35,7 @@ def simulate(
     if count == 1:
         parts = [_fly(*shares[0])]
     else:
-        with multiprocessing.get_context("spawn").Pool(count) as pool:
+        with pool_of(count) as pool:
             parts = pool.starmap(_fly, shares)
     out: list[Condition | None] = [None] * flights
     for k, part in enumerate(parts):

@@ -7,7 +7,6 @@ that was altered, asks to allocate, and has nobody's word for the file.
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 import tomllib
 from collections import Counter
@@ -26,6 +25,7 @@ from sitl import airframe as plant_airframe
 from sitl.faults import Fault
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet, FleetOptions
 from sitl.trials.personality import prepared
+from sitl.trials.pool import pool_of
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, temporary_card
 from sitl.uncertainty import Uncertainty
 
@@ -306,7 +306,7 @@ def run(airframe: str, count: int, seed: int, workers: int | None = None, person
     if processes == 1:
         parts = [_share(*job) for job in jobs]
     else:
-        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        with pool_of(processes) as pool:
             parts = pool.starmap(_share, jobs, chunksize=1)
     rows = [row for part in parts for row in part]
     exceptions = [{**row, "why": exception(row)} for row in rows if exception(row)]

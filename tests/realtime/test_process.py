@@ -60,6 +60,38 @@ def taken(port: int) -> bool:
     return False
 
 
+SHARED = """
+import os, time
+from sitl.trials.pool import pool_of
+def work(_):
+    print(os.getpid(), flush=True)
+    time.sleep(1000.0)
+if __name__ == "__main__":
+    with pool_of(2) as pool:
+        pool.map(work, [1, 2], chunksize=1)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="children outlive a killed parent where there is no prctl")
+def test_who_shares_the_work_out_takes_the_workers_along(tmp_path: Path) -> None:
+    """A survey that was killed went on flying."""
+    script = tmp_path / "shared.py"
+    script.write_text(SHARED, encoding="utf-8")
+    parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    children: list[int] = []
+    try:
+        children += [int(parent.stdout.readline()) for _ in range(2)]
+        assert all(alive(pid) for pid in children)
+        parent.kill()
+        parent.wait()
+        wait_for(lambda: not any(alive(pid) for pid in children), "the workers to die", 5.0)
+    finally:
+        parent.kill()
+        for pid in (p for p in children if alive(p)):
+            os.kill(pid, signal.SIGKILL)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="children outlive a killed parent where there is no prctl")
 def test_the_daemon_and_the_simulator_die_with_a_killed_parent_and_the_port_is_free(tmp_path: Path) -> None:
     port = free_port()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 
 from sitl.trials.paper.scenario import GROUPS, Case, PaperOptions, Trace, fly
+from sitl.trials.pool import pool_of
 
 
 def run(options: PaperOptions, workers: int | None = None) -> list[Trace]:
@@ -19,6 +19,6 @@ def run(options: PaperOptions, workers: int | None = None) -> list[Trace]:
     count = min(workers or os.cpu_count() or 1, len(cases))
     if count == 1:
         return fly(options, cases)
-    with multiprocessing.get_context("spawn").Pool(count) as pool:
+    with pool_of(count) as pool:
         parts = pool.starmap(fly, [(options, cases[k::count]) for k in range(count)])
     return [trace for part in parts for trace in part]
