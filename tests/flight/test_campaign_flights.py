@@ -103,7 +103,7 @@ def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it(
     scenario = Scenario(name="t", flights=240, airframes=THREE, level="estimated", seed=43, fly_on_s=1.0)
     (row,) = fly(scenario, (103,))
     assert (row["manoeuvre"], row["motors"], row["named"], row["wrong"]) == ("forward", [7], [7], []), row
-    assert row["delay_s"] < 0.15
+    assert row["delay_s"] < 0.3
     assert row["survived"]
 
 

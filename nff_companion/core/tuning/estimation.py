@@ -85,7 +85,7 @@ class DisturbanceTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             "deviation of that share however long it was learnt: in flights of 12 m/s it came out at 0.0 to 1.1, each"
             " time to 0.03 to 0.08, and two motors that work were declared for the one between them",
         ),
-    ] = 0.2
+    ] = 0.1
     share_max: Annotated[
         float,
         span(0.5, 2.0, "", "largest share believed: rotors drag the most of it, a little more by errors of the arms"),
