@@ -19,7 +19,7 @@ from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
 from sitl.trials.campaign.fly import fly
 from sitl.trials.campaign.run import run
-from sitl.trials.campaign.scenario import Event, Manoeuvre, Scenario, batches
+from sitl.trials.campaign.scenario import MANOEUVRES, Event, Scenario, batches
 from sitl.trials.campaign.store import Store
 from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight
 
@@ -62,46 +62,32 @@ def test_what_is_no_fault_happens_and_is_not_declared() -> None:
             assert each["survived"], each
 
 
-THREE = ("octo-x", "octo-plus", "coax-x8")
-PLACES: tuple[Manoeuvre, ...] = ("hover", "turn", "forward", "take-off")
+def flown(flight: int, **options: Any) -> dict[str, Any]:
+    """The row of one flight of three frames in four manoeuvres, unless ``options`` say otherwise."""
+    usual: dict[str, Any] = {
+        "airframes": ("octo-x", "octo-plus", "coax-x8"),
+        "manoeuvres": ("hover", "turn", "forward", "take-off"),
+    }
+    (row,) = fly(Scenario(name="t", flights=flight + 1, **usual | options), (flight,))
+    return row
 
 
 @pytest.mark.parametrize(("flight", "seconds"), [(36, 2.5), (41, 8.0)])
 def test_a_load_that_slid_is_no_loss(flight: int, seconds: float) -> None:
     """In hover, a partial loss of motor 5 after 1.9 s; in a turn, motors 1 and 6 partly, and 8 declared."""
-    scenario = Scenario(
-        name="t",
-        flights=72,
-        airframes=THREE,
-        manoeuvres=PLACES,
-        faults=("none",),
-        events=("shift",),
-        seed=51,
-        fly_on_s=seconds,
-    )
-    (row,) = fly(scenario, (flight,))
+    row = flown(flight, faults=("none",), events=("shift",), seed=51, fly_on_s=seconds)
     assert (row["event"], row["wrong"], row["partly"], row["either"]) == ("shift", [], [], []), row
 
 
 def test_one_of_the_two_that_works_again_does_not_look_like_the_loss_of_one_across() -> None:
     """In fast flight: motor 7 was declared, and the vehicle crashed."""
-    scenario = Scenario(
-        name="t",
-        flights=72,
-        airframes=THREE,
-        manoeuvres=PLACES,
-        faults=("intermittent",),
-        seed=71,
-        fly_on_s=4.0,
-    )
-    (row,) = fly(scenario, (44,))
+    row = flown(44, faults=("intermittent",), seed=71, fly_on_s=4.0)
     assert (row["either"], row["wrong"], row["survived"]) == ([2, 5], [], True), row
 
 
 def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it() -> None:
     """Its yaw is what its drag was, beside what it turned; taken for the yaw of 5 and 6, the vehicle crashed."""
-    scenario = Scenario(name="t", flights=240, airframes=THREE, level="estimated", seed=43, fly_on_s=1.0)
-    (row,) = fly(scenario, (103,))
+    row = flown(103, manoeuvres=MANOEUVRES, level="estimated", seed=43, fly_on_s=1.0)
     assert (row["manoeuvre"], row["motors"], row["named"], row["wrong"]) == ("forward", [7], [7], []), row
     assert row["delay_s"] < 0.3
     assert row["survived"]
@@ -109,17 +95,7 @@ def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it(
 
 def test_what_is_done_about_a_partial_loss_in_fast_flight_does_not_flap() -> None:
     """Allocated around and not, eight times in five seconds."""
-    scenario = Scenario(
-        name="t",
-        flights=72,
-        airframes=THREE,
-        manoeuvres=PLACES,
-        faults=("partial",),
-        left=(0.5, 0.7),
-        seed=61,
-        fly_on_s=6.0,
-    )
-    (row,) = fly(scenario, (54,))
+    row = flown(54, faults=("partial",), left=(0.5, 0.7), seed=61, fly_on_s=6.0)
     assert (row["partly"], row["flaps"], row["wrong"]) == (row["motors"], 0, []), row
 
 

@@ -15,6 +15,9 @@ from flying import wait_for
 from sitl.trials import launch
 from sitl.trials.process import DaemonProcess, config_text, free_port, start
 
+DIE_WITH_PARENT = pytest.mark.skipif(
+    sys.platform != "linux", reason="children outlive a killed parent where there is no prctl"
+)
 PARENT = """
 import sys, time
 from pathlib import Path
@@ -72,7 +75,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="children outlive a killed parent where there is no prctl")
+@DIE_WITH_PARENT
 def test_who_shares_the_work_out_takes_the_workers_along(tmp_path: Path) -> None:
     """A survey that was killed went on flying."""
     script = tmp_path / "shared.py"
@@ -92,7 +95,7 @@ def test_who_shares_the_work_out_takes_the_workers_along(tmp_path: Path) -> None
             os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="children outlive a killed parent where there is no prctl")
+@DIE_WITH_PARENT
 def test_the_daemon_and_the_simulator_die_with_a_killed_parent_and_the_port_is_free(tmp_path: Path) -> None:
     port = free_port()
     arguments = [str(config(tmp_path, port)), str(tmp_path / "log")]
