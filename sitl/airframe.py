@@ -19,8 +19,7 @@ _SPIN = {"ccw": 1.0, "cw": -1.0}
 class PlantParameters:
     """What the plant is made of. Arrays carry a leading vehicle axis N, so that each vehicle may differ.
 
-    Where two shapes are given the shorter is the same for all, and is computed with just as it stands. The IMU is taken
-    to lie in the centre of mass, wherever that is.
+    Where two shapes are given the shorter is the same for all, and is computed with just as it stands.
     """
 
     name: str
@@ -45,8 +44,11 @@ class PlantParameters:
     spin_max: float
     pwm_min: float
     pwm_max: float
-    gyro_filter_hz: float
-    accelerometer_filter_hz: float
+    gyro_filter_hz: NDArray[np.float64]  # (N,)
+    accelerometer_filter_hz: NDArray[np.float64]  # (N,)
+    imu_m: NDArray[np.float64]  # (N, 3) where the accelerometer is, from the centre of mass, FRD
+    gyro_turn_rad: NDArray[np.float64]  # (N, 3) rotation vector by which it is not mounted straight, FRD
+    accelerometer_turn_rad: NDArray[np.float64]  # (N, 3)
     drag_area_m2: NDArray[np.float64]  # (2, 3) flying towards +x, +y, +z; towards -x, -y, -z
     pressure_centre_m: NDArray[np.float64]  # (3,) or (N, 3)
     rotor_radius_m: float
@@ -195,8 +197,11 @@ def load(path: Path, *, vehicles: int = 1, thrust_to_weight: float | None = None
         spin_max=float(command["spin_max"]),
         pwm_min=float(command["pwm_min"]),
         pwm_max=float(command["pwm_max"]),
-        gyro_filter_hz=float(telemetry["gyro_filter_hz"]),
-        accelerometer_filter_hz=float(telemetry["accelerometer_filter_hz"]),
+        gyro_filter_hz=per_vehicle(telemetry["gyro_filter_hz"]),
+        accelerometer_filter_hz=per_vehicle(telemetry["accelerometer_filter_hz"]),
+        imu_m=np.zeros((vehicles, 3)),
+        gyro_turn_rad=np.zeros((vehicles, 3)),
+        accelerometer_turn_rad=np.zeros((vehicles, 3)),
         drag_area_m2=np.array([aero["drag_area_forward_m2"], aero["drag_area_backward_m2"]], float),
         pressure_centre_m=np.asarray(aero["pressure_centre_m"], float),
         rotor_radius_m=float(aero["rotor_radius_m"]),

@@ -23,8 +23,13 @@ class NormalBlocks:
         self._index = block
 
     def take(self, steps: int) -> int:
-        """The draws of the next ``steps`` are at this place in ``buffer``, one after the other, until the next call."""
+        """The draws of the next ``steps`` are at this place in ``buffer``, one after the other, until the next call.
+
+        Raises ValueError for more than a block.
+        """
         block = self.buffer.shape[1]
+        if steps > block:
+            raise ValueError(f"{steps} steps are more than the {block} of a block: take fewer at once")
         if self._index + steps > block:
             left = block - self._index
             self.buffer[:, :left] = self.buffer[:, self._index :].copy()

@@ -65,7 +65,7 @@ def stock(nominal: PlantParameters, system: int) -> dict[str, float]:
         "MOT_THST_EXPO": float(nominal.thrust_expo[0]),
         "MOT_SPIN_MIN": float(nominal.spin_min[0]),
         "MOT_SPIN_MAX": nominal.spin_max,
-        "INS_GYRO_FILTER": nominal.gyro_filter_hz,
+        "INS_GYRO_FILTER": float(nominal.gyro_filter_hz[0]),
         "WPNAV_SPEED": 500.0,
         "SIM_SPEEDUP": 1.0,
     }

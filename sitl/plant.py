@@ -36,6 +36,7 @@ class PlantState:
     held_command: NDArray[np.float64]  # (N, m) last command while the motor was not stuck
     battery: NDArray[np.float64]  # (N,) open-circuit voltage over full charge
     acceleration_m_s2: NDArray[np.float64]  # (N, 3) NED, gravity included, of the last step
+    turning_rad_s2: NDArray[np.float64]  # (N, 3) angular acceleration, body, of the last step
     on_ground: NDArray[np.bool_]  # (N,) bool
     crashed: NDArray[np.bool_]  # (N,) bool, latched
 
@@ -45,6 +46,7 @@ class PlantState:
         self.quaternion, self.rate_rad_s = self.quaternion.copy(), self.rate_rad_s.copy()
         self.thrust_n, self.held_command = self.thrust_n.copy(), self.held_command.copy()
         self.battery, self.acceleration_m_s2 = self.battery.copy(), self.acceleration_m_s2.copy()
+        self.turning_rad_s2 = self.turning_rad_s2.copy()
         self.on_ground, self.crashed = self.on_ground.copy(), self.crashed.copy()
         return self.motion()
 
@@ -59,6 +61,7 @@ class PlantState:
             self.held_command,
             self.battery,
             self.acceleration_m_s2,
+            self.turning_rad_s2,
             self.on_ground,
             self.crashed,
         )
@@ -75,6 +78,7 @@ class Motion(NamedTuple):
     held_command: NDArray[np.float64]
     battery: NDArray[np.float64]
     acceleration_m_s2: NDArray[np.float64]
+    turning_rad_s2: NDArray[np.float64]
     on_ground: NDArray[np.bool_]
     crashed: NDArray[np.bool_]
 
@@ -108,6 +112,7 @@ def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad
         held_command=np.zeros((n, m)),
         battery=np.ones(n),
         acceleration_m_s2=np.zeros((n, 3)),
+        turning_rad_s2=np.zeros((n, 3)),
         on_ground=np.full(n, height_m <= 0.0),
         crashed=np.zeros(n, bool),
     )
@@ -232,7 +237,7 @@ def advance(
     mass = makings.mass_kg[n]
     acceleration = acceleration[0] / mass, acceleration[1] / mass, acceleration[2] / mass + GRAVITY_M_S2
     if motion.crashed[n] or (motion.on_ground[n] and acceleration[2] >= 0.0):
-        acceleration = velocity = rate = (0.0, 0.0, 0.0)
+        acceleration = velocity = rate = turning = (0.0, 0.0, 0.0)
     else:
         inertia = components(body.inertia_kg_m2)
         momentum = (
@@ -241,16 +246,14 @@ def advance(
             inertia[2] * rate[2] + momentum[2],
         )
         turning = add_scaled(torque, -1.0, cross(rate, momentum))
-        rate = (
-            rate[0] + dt * (turning[0] / inertia[0]),
-            rate[1] + dt * (turning[1] / inertia[1]),
-            rate[2] + dt * (turning[2] / inertia[2]),
-        )
+        turning = turning[0] / inertia[0], turning[1] / inertia[1], turning[2] / inertia[2]
+        rate = add_scaled(rate, dt, turning)
         velocity = add_scaled(velocity, dt, acceleration)
     position = add_scaled(vector(motion.position_m, n), dt, velocity)
     put(motion.acceleration_m_s2, n, acceleration)
     put(motion.velocity_m_s, n, velocity)
     put(motion.rate_rad_s, n, rate)
+    put(motion.turning_rad_s2, n, turning)
     rotation.put_quaternion(motion.quaternion, n, rotation.turned(q, scaled(dt, rate)))
     # The ground holds what stands on it, level as it stood.
     motion.on_ground[n] = position[2] >= 0.0
@@ -262,6 +265,14 @@ def specific_force(n: int, motion: Motion) -> Vector:
     """What an ideal accelerometer in the centre of mass reads, body frame, m/s^2."""
     x, y, z = vector(motion.acceleration_m_s2, n)
     return to_body(rotation.matrix(rotation.quaternion(motion.quaternion, n)), (x, y, z - GRAVITY_M_S2))
+
+
+@part
+def specific_force_at(n: int, motion: Motion, place: Vector) -> Vector:
+    """The same of one at ``place``, body frame, m from the centre of mass."""
+    rate = vector(motion.rate_rad_s, n)
+    swung = add_scaled(cross(vector(motion.turning_rad_s2, n), place), 1.0, cross(rate, cross(rate, place)))
+    return add_scaled(specific_force(n, motion), 1.0, swung)
 
 
 @kernel

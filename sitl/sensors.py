@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sitl import rotation
 from sitl.airframe import PlantParameters
 from sitl.compiled import kernel, part
 from sitl.noise import NormalBlocks
-from sitl.plant import Motion, PlantState, specific_force
+from sitl.plant import Motion, PlantState, specific_force_at
 
 _GYRO_NOISE_RAD_S = 0.006
 _GYRO_BIAS_RAD_S = 0.003
@@ -32,6 +33,9 @@ SENSORS = np.dtype(
     [
         ("gyro_bias_rad_s", "f8", (3,)),
         ("accelerometer_bias_m_s2", "f8", (3,)),
+        ("imu_m", "f8", (3,)),
+        ("gyro_turn", "f8", (3, 3)),  # rows: its axes in the body's
+        ("accelerometer_turn", "f8", (3, 3)),
         ("gyro_filter", "f8", (3,)),  # b, a1, a2
         ("accelerometer_filter", "f8", (3,)),
         ("gyro_memory", "f8", (3, 2)),
@@ -124,6 +128,17 @@ def _filtered(coefficients: NDArray[np.float64], memory: NDArray[np.float64], ax
 
 
 @part
+def _along(axes: NDArray[np.float64], vector: rotation.Vector) -> rotation.Vector:
+    """Components of ``vector`` along each row of ``axes``."""
+    x, y, z = vector
+    return (
+        axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
+        axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
+        axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+    )
+
+
+@part
 def sample(n: int, instruments: Instruments, motion: Motion, reading: Reading, draw: int, step: int) -> None:
     """Sample the inertial sensors of vehicle ``n``; ``draw``: place of the step's noise."""
     own, noise = instruments.sensors[n], instruments.noise
@@ -142,9 +157,11 @@ def sample(n: int, instruments: Instruments, motion: Motion, reading: Reading, d
         x += shake * shaker.x
         y += shake * shaker.y
         z += shake * shaker.z
-    shaken, pushed, force = (p, q, r), (x, y, z), specific_force(n, motion)
+    shaken, pushed = (p, q, r), (x, y, z)
+    rate = _along(own.gyro_turn, rotation.vector(motion.rate_rad_s, n))
+    force = _along(own.accelerometer_turn, specific_force_at(n, motion, rotation.components(own.imu_m)))
     for k in range(3):
-        gyro = motion.rate_rad_s[n, k] + own.gyro_bias_rad_s[k] + _GYRO_NOISE_RAD_S * noise[n, draw, k]
+        gyro = rate[k] + own.gyro_bias_rad_s[k] + _GYRO_NOISE_RAD_S * noise[n, draw, k]
         gyro += _VIBRATION_GYRO_RAD_S * shaken[k]
         felt = force[k] + own.accelerometer_bias_m_s2[k] + _ACCELEROMETER_NOISE_M_S2 * noise[n, draw, 3 + k]
         felt += _VIBRATION_ACCELEROMETER_M_S2 * pushed[k]
@@ -180,6 +197,11 @@ def _settle(instruments: Instruments, motion: Motion, reading: Reading, place: t
         estimate(n, instruments, motion, reading, step + steps - 1)
 
 
+def _axes(turn_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3, 3) rows: the axes, in the body's, of sensors turned by the rotation vectors (N, 3)."""
+    return Rotation.from_rotvec(turn_rad).as_matrix().swapaxes(1, 2)
+
+
 class Sensors:
     """One set for the fleet; ``measured`` is what they say."""
 
@@ -190,8 +212,12 @@ class Sensors:
         bias = np.stack([g.standard_normal(6) for g in generators])
         self._sensors["gyro_bias_rad_s"] = _GYRO_BIAS_RAD_S * bias[:, :3]
         self._sensors["accelerometer_bias_m_s2"] = _ACCELEROMETER_BIAS_M_S2 * bias[:, 3:]
-        self._sensors["gyro_filter"] = low_pass(parameters.gyro_filter_hz, dt_s)
-        self._sensors["accelerometer_filter"] = low_pass(parameters.accelerometer_filter_hz, dt_s)
+        gyro, accelerometer = parameters.gyro_filter_hz.tolist(), parameters.accelerometer_filter_hz.tolist()
+        self._sensors["gyro_filter"] = [low_pass(cutoff, dt_s) for cutoff in gyro]
+        self._sensors["accelerometer_filter"] = [low_pass(cutoff, dt_s) for cutoff in accelerometer]
+        self._sensors["imu_m"] = parameters.imu_m
+        self._sensors["gyro_turn"] = _axes(parameters.gyro_turn_rad)
+        self._sensors["accelerometer_turn"] = _axes(parameters.accelerometer_turn_rad)
         self._sensors["decay"], self._sensors["dt_s"] = math.exp(-dt_s / _WANDER_TIME_S), dt_s
         self._shakers["strength"] = 1.0
         self._shakers["phase"] = np.stack([g.uniform(0, 2 * math.pi, m) for g in generators])

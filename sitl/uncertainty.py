@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sitl.airframe import PlantParameters
 
 UNCERTAINTY_STREAM = 3  # of a seed's generators, its own: who draws nothing here flies as if this were not here
+_OWN, _SENSORS = 8, 11  # draws of a vehicle as a whole, and of its sensors
 _SPIN_SPAN_MIN = 0.1  # what is left between idle and full output, whatever is drawn
 _CALIBRATED_SHARE = 0.2  # of what an estimate leaves open: an assumption until it is measured
 
@@ -33,6 +34,9 @@ class Uncertainty:
     place: float = 0.0  # +- fraction of the rotor's arm, each rotor, in x and in y
     centre_of_mass: float = 0.0  # radius of a disc, as fraction of the longest arm
     output_delay_s: float = 0.0  # 0 to this: the motors hear later than telemetry tells
+    imu_place: float = 0.0  # +- fraction of the longest arm, in x, y and z, beside where the centre of mass was put
+    sensor_turn_rad: float = 0.0  # +- about each axis, of gyro and of accelerometer
+    filter_factor: tuple[float, float] = (1.0, 1.0)  # of the cut-off of the gyro's filter and of the accelerometer's
 
     @classmethod
     def exact(cls) -> Uncertainty:
@@ -63,6 +67,9 @@ class Uncertainty:
             place=0.05,
             centre_of_mass=0.04,  # 2 cm on an arm of 0.5 m
             output_delay_s=0.010,
+            imu_place=0.06,  # 3 cm
+            sensor_turn_rad=math.radians(2.0),
+            filter_factor=(0.7, 1.4),
         )
 
     def _narrowed(self, share: float) -> Uncertainty:
@@ -79,6 +86,9 @@ class Uncertainty:
             place=share * self.place,
             centre_of_mass=share * self.centre_of_mass,
             output_delay_s=share * self.output_delay_s,
+            imu_place=share * self.imu_place,
+            sensor_turn_rad=share * self.sensor_turn_rad,
+            filter_factor=towards_one(self.filter_factor),
         )
 
     def drawn(self, nominal: PlantParameters, generators: list[np.random.Generator]) -> PlantParameters:
@@ -91,14 +101,18 @@ class Uncertainty:
         n, m = nominal.vehicles, nominal.motors
         if len(generators) != n:
             raise ValueError(f"{len(generators)} generators for {n} vehicles: give one for each")
-        unit = np.array([g.uniform(-1.0, 1.0, 8 + 3 * m) for g in generators])  # (N, .)
-        lag, split, torque, expo, idle, angle, radius, delay = unit[:, :8].T
-        motor, place = unit[:, 8 : 8 + m], unit[:, 8 + m :].reshape(n, m, 2)
+        unit = np.array([g.uniform(-1.0, 1.0, _OWN + 3 * m + _SENSORS) for g in generators])  # (N, .)
+        lag, split, torque, expo, idle, angle, radius, delay = unit[:, :_OWN].T
+        motor, place = unit[:, _OWN : _OWN + m], unit[:, _OWN + m : -_SENSORS].reshape(n, m, 2)
+        imu, gyro, accelerometer = unit[:, -_SENSORS:-2].reshape(n, 3, 3).swapaxes(0, 1)
+        cutoff = _between(self.filter_factor, unit[:, -2:].T)
         lag = _between(self.lag_factor, lag)
         split = 1.0 + self.lag_split * split
         arm = np.hypot(nominal.position_m[..., 0], nominal.position_m[..., 1])  # (m,) or (N, m)
-        offset = self.centre_of_mass * arm.max(axis=-1) * np.sqrt(0.5 + 0.5 * radius)  # even over the disc
+        longest = arm.max(axis=-1)
+        offset = self.centre_of_mass * longest * np.sqrt(0.5 + 0.5 * radius)  # even over the disc
         offset = offset[:, None] * np.stack([np.cos(math.pi * angle), np.sin(math.pi * angle)], axis=1)
+        aside = np.concatenate([offset, np.zeros((n, 1))], axis=1)
         return replace(
             nominal,
             time_constant_up_s=_scaled(nominal.time_constant_up_s, lag * split),
@@ -108,8 +122,13 @@ class Uncertainty:
             spin_min=np.clip(nominal.spin_min + self.spin_min * idle, 0.0, nominal.spin_max - _SPIN_SPAN_MIN),
             max_thrust_n=nominal.max_thrust_n * (1.0 + self.motor_thrust * motor),
             position_m=nominal.position_m + self.place * arm[..., None] * place - offset[:, None],
-            pressure_centre_m=nominal.pressure_centre_m - np.concatenate([offset, np.zeros((n, 1))], axis=1),
+            pressure_centre_m=nominal.pressure_centre_m - aside,
             output_delay_s=nominal.output_delay_s + self.output_delay_s * (0.5 + 0.5 * delay),
+            imu_m=nominal.imu_m + self.imu_place * np.reshape(longest, (-1, 1)) * imu - aside,
+            gyro_turn_rad=nominal.gyro_turn_rad + self.sensor_turn_rad * gyro,
+            accelerometer_turn_rad=nominal.accelerometer_turn_rad + self.sensor_turn_rad * accelerometer,
+            gyro_filter_hz=nominal.gyro_filter_hz * cutoff[0],
+            accelerometer_filter_hz=nominal.accelerometer_filter_hz * cutoff[1],
         )
 
 

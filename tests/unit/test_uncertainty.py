@@ -113,6 +113,16 @@ def test_an_estimate_is_within_its_ranges_and_reaches_towards_their_ends() -> No
     assert 0.015 < np.hypot(off[:, 0], off[:, 1]).max() < 0.02 + 0.025
     own = dataclasses.replace(FULL, centre_of_mass=0.0)
     spread(drawn(own).position_m - told.position_m, -0.025, 0.025)
+    spread(drawn(own).imu_m, -0.03, 0.03)
+    for turn in (true.gyro_turn_rad, true.accelerometer_turn_rad):
+        spread(np.degrees(turn), -2.0, 2.0)
+    spread(true.gyro_filter_hz / told.gyro_filter_hz, 0.7, 1.4)
+    spread(true.accelerometer_filter_hz / told.accelerometer_filter_hz, 0.7, 1.4)
+
+
+def test_the_imu_stays_where_it_is_when_the_mass_is_elsewhere() -> None:
+    moved = drawn(Uncertainty(centre_of_mass=0.04))
+    np.testing.assert_allclose(moved.imu_m[:, :2], moved.position_m[:, 0] - nominal().position_m[0], atol=1e-12)
 
 
 def test_a_calibrated_file_leaves_a_fifth_of_it() -> None:
@@ -132,7 +142,10 @@ def test_each_width_moves_its_own_quantities_alone(field: str) -> None:
         "torque_factor": {"torque_per_thrust_m"},
         "motor_thrust": {"max_thrust_n"},
         "place": {"position_m"},
-        "centre_of_mass": {"position_m", "pressure_centre_m"},
+        "centre_of_mass": {"position_m", "pressure_centre_m", "imu_m"},
+        "imu_place": {"imu_m"},
+        "sensor_turn_rad": {"gyro_turn_rad", "accelerometer_turn_rad"},
+        "filter_factor": {"gyro_filter_hz", "accelerometer_filter_hz"},
     }
     told, alone, all_of_it = nominal(3), drawn(Uncertainty(**{field: getattr(FULL, field)}), [1, 2, 3]), drawn(FULL)
     changed = {f.name for f in dataclasses.fields(told) if not np.all(getattr(alone, f.name) == getattr(told, f.name))}

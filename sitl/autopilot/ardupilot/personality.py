@@ -35,7 +35,7 @@ class ArduPilotPersonality:
             "FLIGHT_OPTIONS": 1.0,
             "MOT_PWM_MIN": p.pwm_min,
             "MOT_PWM_MAX": p.pwm_max,
-            "INS_ACCEL_FILTER": p.accelerometer_filter_hz,
+            "INS_ACCEL_FILTER": float(p.accelerometer_filter_hz[0]),
             **{f"SERVO{i}_FUNCTION": float(_MOTOR_FUNCTIONS[i - 1]) for i in range(1, motors + 1)},
         }.items():
             parameters.setdefault(name, value)
