@@ -239,7 +239,7 @@ class Companion:
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         planning, adapted = state.planning, state.adapted
         if trusted and not self._only_judges:
-            partial = self._fits_closely(fit, confirmed=state.confirmed)
+            partial = estimate.settled and self._fits_closely(fit, confirmed=state.confirmed)
             driven = override is not None
             tests = acting(state, condition) != Mode.OBSERVE and (condition.takes_matrix or driven)
             planning = self._planner.step(planning, time_s, estimate, trust_partial=partial, driven=driven, tests=tests)

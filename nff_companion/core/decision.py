@@ -136,6 +136,8 @@ class Decision:
         stands = state.among is not None and time_s - state.among.since_s >= self.tuning.among_size_s
         if stands and len(best.motors) > 1 and not best.moved:
             return []  # by now its size is the model's error: what moves tells which it is
+        if state.among is not None and state.among.refuted and best.motors in state.among.sets:
+            return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
         wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
@@ -196,6 +198,11 @@ class Decision:
         """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it
         lead."""
         o, alike = self.tuning, () if best is None else best.alike
+        if best is not None and state.among is not None:
+            if best.unmoved:
+                return replace(state.among, since_s=time_s, seen_s=time_s, told=False, refuted=True)
+            if state.among.refuted and best.motors in state.among.sets:
+                return followed(state.among, time_s, state.among.sets, o)
         lost = best is not None and best.explained >= o.explained_min
         room = self.failed_max - sum(state.failed.tolist())
         if not lost or not any(len(motors) <= room and min(loss) >= o.loss_sudden for motors, loss in alike):

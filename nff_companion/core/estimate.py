@@ -62,6 +62,7 @@ class Estimate:
     lateral_m_s2: NDArray[np.float64]  # (2,) specific force along x and y, smoothed
     best: Hypothesis | None
     events: list[Event]
+    settled: bool = True  # what the file has wrong in steady flight has been learnt: what looks partly lost may be
     either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
     among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
     more: tuple[int, ...] = ()  # index of the motor that pulls more than asked; of two above each other: one of them

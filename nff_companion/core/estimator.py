@@ -143,6 +143,10 @@ class Estimator:
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
         among = decision.among if decision.among is not None and decision.among.told else None
+        if decision.among is not None and decision.among.refuted and not decision.candidate:
+            # No motor is lost by how the residual moves: what explained it is the file's, and quickly learnt.
+            rate, information = self.tuning.estimator.learn_fast_rate, sparse.Information.empty(self.vehicle.motors)
+            effectiveness = np.where(decision.failed, effectiveness, 1.0)
         more = decision.more.sets[0] if decision.more is not None and decision.more.told else ()
         if among is not None or more:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
@@ -193,6 +197,7 @@ class Estimator:
             lateral_m_s2=seen.filtered.lateral_slow_m_s2,
             best=best,
             events=events,
+            settled=time_s >= fast_until_s,
             balance=state.balance.share,
             gain=state.balance.gain,
             bend=state.curve.bend,
@@ -301,7 +306,7 @@ class Estimator:
             not self._balance.due(balance, time_s)
             or True in decision.failed.tolist()
             or decision.either
-            or decision.among
+            or (decision.among and not decision.among.refuted)
             or decision.more
         ):
             return balance

@@ -9,6 +9,7 @@ the windows of the onsets end after a fifth of a second. Pure.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,16 @@ class Sums:
         return self.matrix - mean.T.dot(self.lost), self.vector - self.residual.dot(mean)
 
 
+class Told(NamedTuple):
+    """A pair of motors (indices), its losses, and by how many nats it is ahead of the next pair, and of that none is
+    lost: of the better of the two; and of the second alone, below 0 where the residual does not move with any pair."""
+
+    motors: tuple[int, ...]
+    loss: tuple[float, ...]
+    ahead: float
+    improvement: float
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """``whole``: of all samples; ``block``: of those since ``begun_s``; S (m, m) and q (m,) of the changes within the
@@ -83,9 +94,8 @@ class Evidence:
         empty = Sums.none(*lost.shape)
         return Evidence(whole, empty, time_s, self.matrix + matrix, self.vector + vector)
 
-    def told(self, sets: tuple[tuple[int, ...], ...], gamma: float) -> tuple[tuple[int, ...], tuple[float, ...], float]:
-        """The pair of ``sets`` (indices) by which the residual moves, its losses, and by how many nats it is ahead of
-        the next one, and of that none is lost."""
+    def told(self, sets: tuple[tuple[int, ...], ...], gamma: float) -> Told:
+        """The pair of ``sets`` (indices) by which the residual moves best."""
         pairs = np.array(sets)
         found = hypotheses.pairs(self.whole.matrix[None], self.whole.vector[None], gamma, pairs[:, 0], pairs[:, 1])
         matrix, vector = self.block.changes()
@@ -95,4 +105,4 @@ class Evidence:
             improvement[k] = vector[motors].dot(e) - 0.5 * e.dot(matrix[np.ix_(motors, motors)]).dot(e)
         best = int(improvement[:-1].argmax())
         ahead = float(improvement[best] - np.delete(improvement, best).max())
-        return sets[best], tuple((-found.e[0, best]).tolist()), ahead
+        return Told(sets[best], tuple((-found.e[0, best]).tolist()), ahead, float(improvement[best]))

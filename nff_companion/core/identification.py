@@ -148,11 +148,14 @@ class Identification:
         sets = tuple(motors for motors in among.sets if len(motors) == 2)
         if best is None or len(sets) < 2:
             return replace(weighed, evidence=evidence)
-        motors, loss, ahead = evidence.told(sets, self._tuning.onset.gamma_onset)
-        told = replace(best, motors=motors, loss=loss, margin=ahead, beside=ahead, more=-1, moved=True, alike=())
-        if not self._decision.convincing(told):
-            return replace(weighed, evidence=evidence)
-        return replace(weighed, best=told, evidence=evidence)
+        found = evidence.told(sets, self._tuning.onset.gamma_onset)
+        told = replace(best, motors=found.motors, loss=found.loss, margin=found.ahead, beside=found.ahead)
+        told = replace(told, more=-1, moved=True, alike=())
+        if self._decision.convincing(told):
+            return replace(weighed, best=told, evidence=evidence)
+        if found.improvement < -o.among_refuted_min:
+            best = replace(best, unmoved=True)
+        return replace(weighed, best=best, evidence=evidence)
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
         """With the two motors above each other that ``best`` is about, where it cannot be told which."""

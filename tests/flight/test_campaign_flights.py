@@ -93,6 +93,23 @@ def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it(
     assert row["survived"]
 
 
+ESTIMATED: dict[str, Any] = {"manoeuvres": MANOEUVRES, "level": "estimated", "seed": 45}
+
+
+def test_motors_that_nothing_answers_to_are_not_lost_and_what_looks_like_it_is_learnt() -> None:
+    """By a guessed file a climb looked like the loss of two arms, or two others, for five seconds; then motor 5 was
+    declared with motor 4, which failed."""
+    row = flown(230, fly_on_s=1.0, **ESTIMATED)
+    assert (row["manoeuvre"], row["named"], row["wrong"], row["either"]) == ("climb", [4], [], []), row
+    assert row["delay_s"] < 0.1
+
+
+@pytest.mark.parametrize("flight", [11, 49, 151])
+def test_what_a_file_has_wrong_when_the_watch_begins_is_not_allocated_around(flight: int) -> None:
+    row = flown(flight, fly_on_s=0.1, **ESTIMATED)
+    assert (row["partly"], row["wrong"]) == ([], []), row
+
+
 def test_what_is_done_about_a_partial_loss_in_fast_flight_does_not_flap() -> None:
     """Allocated around and not, eight times in five seconds."""
     row = flown(54, faults=("partial",), left=(0.5, 0.7), seed=61, fly_on_s=6.0)

@@ -48,7 +48,7 @@ def test_the_motors_that_are_lost_are_told_by_what_moves(
     octo: Vehicle, motors: tuple[int, int], rng: np.random.Generator
 ) -> None:
     for _ in range(5):
-        best, loss, ahead = flown(octo, rng, lost(*motors)).told(SETS, 0.0)
+        best, loss, ahead, _ = flown(octo, rng, lost(*motors)).told(SETS, 0.0)
         assert best == motors
         assert ahead > TUNING.moved_margin_min
         assert min(loss) > 0.8
@@ -58,13 +58,13 @@ def test_what_is_off_all_the_time_is_no_evidence(octo: Vehicle, rng: np.random.G
     """By the model's error the residual is that of the other pair."""
     matrix = octo.acceleration_effectiveness * octo.hover
     misleading = matrix @ (lost(0, 1) - lost(6, 7))
-    best, _, ahead = flown(octo, rng, lost(0, 1), off=misleading).told(SETS, 0.0)
+    best, _, ahead, _ = flown(octo, rng, lost(0, 1), off=misleading).told(SETS, 0.0)
     assert best == (0, 1) or ahead < TUNING.moved_margin_min
 
 
 def test_without_movement_there_is_no_evidence(octo: Vehicle, rng: np.random.Generator) -> None:
     for _ in range(5):
-        _, _, ahead = flown(octo, rng, lost(0, 1), moved=0.0).told(SETS, 0.0)
+        _, _, ahead, _ = flown(octo, rng, lost(0, 1), moved=0.0).told(SETS, 0.0)
         assert abs(ahead) < 1.0
 
 
@@ -72,8 +72,18 @@ def test_motors_that_work_are_not_named_whatever_the_residual_is(octo: Vehicle, 
     """It is the air that pushes, and nothing answers when the motors move."""
     pushed = -(octo.acceleration_effectiveness * octo.hover) @ lost(0, 1)
     for _ in range(5):
-        _, _, ahead = flown(octo, rng, np.zeros(8), off=pushed).told(SETS, 0.0)
-        assert ahead < 1.0
+        evidence = flown(octo, rng, np.zeros(8), off=pushed, seconds=2.4)
+        assert evidence.told(SETS, 0.0).ahead < 1.0
+        assert evidence.told(SETS[:2], 0.0).improvement < -TUNING.among_refuted_min
+
+
+@pytest.mark.parametrize("motors", [*SETS, (3, 4)])
+def test_what_is_lost_is_not_refuted(octo: Vehicle, motors: tuple[int, int], rng: np.random.Generator) -> None:
+    """Nor by half as much movement, nor while the file has wrong what the motors give."""
+    gains = 1.0 + rng.uniform(-0.2, 0.2, 8)
+    for moved in (0.04, 0.08):
+        found = flown(octo, rng, lost(*motors) * gains, moved=moved).told((*SETS, (3, 4)), 0.0)
+        assert found.improvement > -0.25 * TUNING.among_refuted_min
 
 
 def test_changes_are_what_is_left_when_the_mean_is_taken_off(octo: Vehicle, rng: np.random.Generator) -> None:

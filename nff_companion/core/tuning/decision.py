@@ -100,6 +100,19 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     among_block_s: Annotated[
         float, span(0.1, 5.0, "s", "of flight whose mean is no evidence in telling a set apart: as long as a test")
     ] = 0.24
+    among_refuted_min: Annotated[
+        float,
+        span(
+            5.0,
+            500.0,
+            "nats",
+            "that none of a set is lost is ahead of each of it, by how the residual moves: it is the file then, and"
+            " learnt. Of an octorotor that began to climb with a file guessed it was ahead by 80",
+        ),
+    ] = 20.0
+    among_refuted_s: Annotated[
+        float, span(0.1, 10.0, "s", "for which it is learnt; what still looks like them then is weighed anew")
+    ] = 2.0
     more_improvement_min: Annotated[
         float, span(8.0, 500.0, "nats", "over no failure, by which a motor is said to pull more than it is asked to")
     ] = 60.0
