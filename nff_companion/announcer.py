@@ -19,6 +19,7 @@ _SAID = {
     Reason.AMONG: _CRITICAL,
     Reason.PROBING: _WARNING,
     Reason.MORE: _CRITICAL,
+    Reason.UNRESPONSIVE: _CRITICAL,
     Reason.PARTIAL: _WARNING,
     Reason.PARTIAL_NO_YAW: _WARNING,
     Reason.NO_LIFT: _CRITICAL,
@@ -40,6 +41,7 @@ _OF_MOTORS = {
     Reason.EITHER_NO_YAW,
     Reason.AMONG,
     Reason.MORE,
+    Reason.UNRESPONSIVE,
     Reason.PARTIAL,
     Reason.PARTIAL_NO_YAW,
 }

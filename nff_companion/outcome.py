@@ -104,6 +104,7 @@ class Outcome:
             either=tuple(motor + 1 for motor in state.either),
             among=() if estimate is None else tuple(tuple(i + 1 for i in motors) for motors in estimate.among),
             more=() if estimate is None else tuple(motor + 1 for motor in estimate.more),
+            unresponsive=(state.fit.answers.told + 1,) if state.trusted and state.fit.answers.told >= 0 else (),
             probing=planning.probing and (mode == Mode.OVERRIDE or (mode == Mode.ALLOCATE and condition.takes_matrix)),
             fit=state.fit.fit,
             trusted=state.trusted,

@@ -217,6 +217,7 @@ class Reporter:
             "among": [list(motors) for motors in output.among],
             "probing": output.probing,
             "more": list(output.more),
+            "unresponsive": list(output.unresponsive),
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],

@@ -90,7 +90,9 @@ def _undecided(output: Output) -> Statement | None:
     if output.among:
         sets = " or ".join("+".join(map(str, motors)) for motors in output.among)
         return Statement(Reason.PROBING if output.probing else Reason.AMONG, sets)
-    return Statement(Reason.MORE, " or ".join(map(str, output.more))) if output.more else None
+    if output.more:
+        return Statement(Reason.MORE, " or ".join(map(str, output.more)))
+    return Statement(Reason.UNRESPONSIVE, str(output.unresponsive[0])) if output.unresponsive else None
 
 
 def _anything(output: Output) -> bool:

@@ -25,6 +25,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from nff_companion.core.answers import Answers, AnswersState
 from nff_companion.core.filters import lag_share
 from nff_companion.core.fit import NOTHING, TURNS, Factor, Fit, FitVerdict, Seen, judged
 from nff_companion.core.motor_order import orders
@@ -54,6 +55,7 @@ class FitState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sums: NDArray[np.float64]  # (10 + m, 10 + m)
     total: NDArray[np.float64]  # (7 + m,)
     count: float = 0.0
+    answers: AnswersState  # of each motor alone
 
 
 class FitMonitor:
@@ -74,19 +76,20 @@ class FitMonitor:
         self._orders = orders(self._rows)
         self._others = np.stack([order.rows for order in self._orders], axis=1)  # (3, orders, m)
         self._unit = np.eye(vehicle.motors)
+        self._answers = Answers(self._rows, _HEAD, tuning)
         self._width = _HEAD + vehicle.motors
 
     def start(self) -> FitState:
         """Nothing seen."""
         width = self._width
-        return FitState(sums=np.zeros((width + _AXES, width + _AXES)), total=np.zeros(width))
+        sums = np.zeros((width + _AXES, width + _AXES))
+        return FitState(sums=sums, total=np.zeros(width), answers=self._answers.start())
 
-    @staticmethod
-    def paused(state: FitState) -> FitState:
-        """After a break the filters start anew; what was gathered stays."""
+    def paused(self, state: FitState) -> FitState:
+        """After a break the filters start anew; what was gathered stays, but for how each motor answers."""
         if state.fast is None and not state.looks:
             return state
-        return replace(state, fast=None, slow=None, looks=(), wait=0)
+        return replace(state, fast=None, slow=None, looks=(), wait=0, answers=self._answers.start())
 
     def step(self, state: FitState, shown: ResidualState) -> FitState:
         """One sample of a flight in which nothing is declared."""
@@ -107,7 +110,8 @@ class FitMonitor:
         fast = _lagged(self._fast, looks, before)
         change = np.diff(fast[:, _HEAD:], axis=0, prepend=before[None, _HEAD:]) / self._look_s
         skipped = min(settle, len(looks))
-        band = (np.hstack([fast - slow, change.dot(self._rows.T)]) * self._weights)[skipped:]
+        moved = np.hstack([fast - slow, change.dot(self._rows.T)])
+        band = (moved * self._weights)[skipped:]
         weights, forgotten = self._weights[skipped:] ** 2, self._keep ** len(looks)
         return replace(
             state,
@@ -117,6 +121,7 @@ class FitMonitor:
             sums=forgotten * state.sums + band.T.dot(band),
             total=forgotten * state.total + (weights * looks[skipped:]).sum(axis=0),
             count=forgotten * state.count + float(weights.sum()),
+            answers=self._answers.step(state.answers, moved[skipped:], self._look_s),
         )
 
     def lifted(self, state: FitState, up_m_s2: float, thrust: NDArray[np.float64]) -> FitState:

@@ -93,6 +93,13 @@ def test_a_motor_lost_in_fast_flight_is_not_taken_for_those_on_both_sides_of_it(
     assert row["survived"]
 
 
+def test_an_output_that_is_stuck_is_said_when_the_others_move() -> None:
+    row = flown(6, manoeuvres=("hover", "turn", "forward", "climb"), faults=("stuck", "slow"), seed=81, fly_on_s=6.0)
+    assert (row["fault"], row["unresponsive"], row["wrong"]) == ("stuck", row["motors"], []), row
+    assert row["says"] == f"LAND: motor {row['motors'][0]} does not answer", row
+    assert row["delay_s"] < 6.0
+
+
 ESTIMATED: dict[str, Any] = {"manoeuvres": MANOEUVRES, "level": "estimated", "seed": 45}
 
 

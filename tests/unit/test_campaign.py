@@ -23,6 +23,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "named": list(case.motors),
         "either": [],
         "more": [],
+        "unresponsive": [],
         "among": [],
         "among_s": None,
         "delay_s": 0.07,

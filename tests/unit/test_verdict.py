@@ -86,6 +86,9 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     assert len(said.text.encode()) <= 45  # what a pilot's screen takes at once, behind "NFF: "
     assert verdict(output, condition, Mode.OBSERVE, FLOWN, None) == said
     assert verdict(wanting(more=(3,)), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.MORE
+    silent = verdict(wanting(unresponsive=(3,)), condition, Mode.ALLOCATE, FLOWN, None)
+    assert (silent.reason, silent.text) == (Reason.UNRESPONSIVE, "LAND: motor 3 does not answer")
+    assert verdict(wanting(unresponsive=(3,)), condition, Mode.OBSERVE, FLOWN, None) == silent
     assert verdict(wanting(), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
     document = Reporter(octo, None, 1).document(moment, 0.0, [])
@@ -147,6 +150,7 @@ def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, 
         (Reason.EITHER_NO_YAW, dialect.MAV_SEVERITY_CRITICAL, "lost"),
         (Reason.AMONG, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.MORE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.UNRESPONSIVE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.PROBING, dialect.MAV_SEVERITY_WARNING, "testing"),
         (Reason.PARTIAL, dialect.MAV_SEVERITY_WARNING, "partial loss of motor x"),
         (Reason.PARTIAL_NO_YAW, dialect.MAV_SEVERITY_WARNING, "motor x partly lost"),
@@ -172,7 +176,7 @@ def test_whatever_is_believed_of_motors_or_done_about_them_reaches_the_pilot(rea
     assert len(str(text.text)) <= 50
 
 
-@pytest.mark.parametrize("reason", [Reason.AMONG, Reason.MORE, Reason.EITHER, Reason.PARTIAL])
+@pytest.mark.parametrize("reason", [Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.EITHER, Reason.PARTIAL])
 def test_other_motors_are_news(reason: Reason) -> None:
     announcer = Announcer()
     assert announcer.verdict(Statement(reason, "1+2 or 7+8"), 10.0)
@@ -181,6 +185,6 @@ def test_other_motors_are_news(reason: Reason) -> None:
 
 
 def test_that_one_should_land_is_not_cut_off() -> None:
-    for reason in (Reason.AMONG, Reason.MORE, Reason.NO_LIFT):
+    for reason in (Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.NO_LIFT):
         (text,) = Announcer().verdict(Statement(reason, "10+12 or 14+16 or 11+13 or 15+17"), 10.0)
         assert "LAND" in str(text.text)

@@ -50,6 +50,24 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     misfit_wrong: Annotated[
         float, span(50.0, 5000.0, "", "chi squared of an order that does not, though no other is known to fit better")
     ] = 250.0
+    answers_memory_s: Annotated[
+        float, span(2.0, 120.0, "s", "time constant of forgetting how the motors answer: a failure must show in it")
+    ] = 8.0
+    answers_lost_min: Annotated[
+        float,
+        span(
+            0.3,
+            0.95,
+            "",
+            "of a motor's changes that do not come, for it not to answer: by guessed files, to 0.5 (0.6 by chance)",
+        ),
+    ] = 0.65
+    answers_hysteresis: Annotated[float, span(0.0, 0.5, "", "less of them, by which it goes on being believed")] = 0.25
+    answers_improvement_min: Annotated[
+        float, span(5.0, 200.0, "nats", "over that all motors answer: 36 healthy flights by guessed files came to 7")
+    ] = 15.0
+    answers_margin_min: Annotated[float, span(2.0, 100.0, "nats", "over that another motor does not answer")] = 6.0
+    answers_alike: Annotated[int, span(1, 20, "judgements", "in a row of the same motor, to be believed")] = 3
     ridge: Annotated[
         float, span(1e-12, 1e-3, "", "of the energies, added where sums are inverted: signals may go together")
     ] = 1e-6

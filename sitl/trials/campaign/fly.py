@@ -94,6 +94,7 @@ class Record:
         self.among: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(math.inf, ())] * n  # the last sets, and since
 
         self.more: list[dict[int, float]] = [{} for _ in range(n)]  # motors that pull more than asked, and since when
+        self.unresponsive: list[dict[int, float]] = [{} for _ in range(n)]  # that do not answer, and since when
         self.flaps = [0] * n  # changes of what is done about a motor, within a few seconds of its last one
         self._about: list[frozenset[int]] = [frozenset()] * n
         self._changed_s: list[dict[int, float]] = [{} for _ in range(n)]
@@ -117,9 +118,11 @@ class Record:
             either = companion.output.either
             if either and not self.either[k][1] and flies[k]:
                 self.either[k] = fleet.time_s, either
-            if companion.output.more and flies[k]:
+            if flies[k]:
                 for motor in companion.output.more:
                     self.more[k].setdefault(motor, fleet.time_s)
+                for motor in companion.output.unresponsive:
+                    self.unresponsive[k].setdefault(motor, fleet.time_s)
             among = companion.output.among
             if among and flies[k]:
                 self.among[k] = min(self.among[k][0], fleet.time_s), among
@@ -160,8 +163,9 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
 
 def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict[str, Any]:
     """What the companion of vehicle ``k`` said of it. ``delay_s``: from the failure until all motors that fail are
-    named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), or, where
-    they are not lost in full, as allocated around (``partly``, the first one at ``partly_s``);
+    named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), as not
+    answering (``unresponsive``), or, where they are not lost in full, as allocated around (``partly``, the first one at
+    ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
     ``wrong``: motors named that work; ``changes``: declarations and lifts; ``flaps``: changes of what is done about a
     motor within 5 s of its last one."""
@@ -180,6 +184,11 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
             right[motor] = min(right.get(motor, math.inf), time_s)
         elif not set(more) & set(case.motors):
             wrong = sorted({*wrong, motor})
+    for motor, time_s in record.unresponsive[k].items():
+        if motor in case.motors and time_s >= case.at_s:
+            right[motor] = min(right.get(motor, math.inf), time_s)
+        else:
+            wrong = sorted({*wrong, motor})
     for motor, time_s in partly.items():
         if motor in case.motors and time_s >= case.at_s and case.fault in NOT_IN_FULL:
             right[motor] = min(right.get(motor, math.inf), time_s)
@@ -188,6 +197,7 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "named": sorted(right),
         "either": list(one_of),
         "more": sorted(more),
+        "unresponsive": sorted(record.unresponsive[k]),
         "among": [list(motors) for motors in among[1]],
         "among_s": None if not among[1] else round(among[0] - case.at_s, 4),
         "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,

@@ -34,6 +34,7 @@ _TYPES = {
     "named": "list<int64>",
     "either": "list<int64>",
     "more": "list<int64>",
+    "unresponsive": "list<int64>",
     "among": "list<list<int64>>",
     "among_s": "double",
     "delay_s": "double",
