@@ -20,6 +20,7 @@ _SAID = {
     Reason.PROBING: _WARNING,
     Reason.MORE: _CRITICAL,
     Reason.UNRESPONSIVE: _CRITICAL,
+    Reason.WEAK: _WARNING,
     Reason.PARTIAL: _WARNING,
     Reason.PARTIAL_NO_YAW: _WARNING,
     Reason.NO_LIFT: _CRITICAL,
@@ -42,6 +43,7 @@ _OF_MOTORS = {
     Reason.AMONG,
     Reason.MORE,
     Reason.UNRESPONSIVE,
+    Reason.WEAK,
     Reason.PARTIAL,
     Reason.PARTIAL_NO_YAW,
 }

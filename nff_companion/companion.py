@@ -317,9 +317,12 @@ class Companion:
         motors = motors or tuple(motor + 1 for motor in estimate.either)
         if motors:
             state = replace(state, held_back=(motors, time_s))
-        said = estimate.events or estimate.either or estimate.among or estimate.more
+        said = estimate.events or estimate.either or estimate.among or estimate.more or estimate.weak
         if said or estimate.failed is not state.failed:
-            estimate = dataclasses.replace(estimate, failed=state.failed, either=(), among=(), more=(), events=[])
+            nothing: tuple[int, ...] = ()
+            estimate = dataclasses.replace(
+                estimate, failed=state.failed, either=nothing, among=(), more=nothing, weak=nothing, events=[]
+            )
         return state, estimate
 
     def _known(self, estimate: Estimate) -> Knowledge:

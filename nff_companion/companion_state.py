@@ -45,6 +45,8 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     bad_samples: int
     either: tuple[int, ...] = ()  # two motors (from 1) above each other, of which one has failed
     among: tuple[tuple[int, ...], ...] = ()  # sets of motors (from 1) of which one has failed: which is not known
+    weak: tuple[int, ...] = ()  # the motor (from 1) that has lost a part, or two above each other: one of them
+    weak_left: float = 1.0  # effectiveness that it has left
     unresponsive: tuple[int, ...] = ()  # the motor (from 1) that keeps its thrust whatever it is told
     more: tuple[int, ...] = ()  # the motor (from 1) that pulls more than asked, or two above each other: one of them
     probing: bool = False  # motors are moved to tell which of ``among`` it is

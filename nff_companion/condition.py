@@ -83,6 +83,7 @@ class Reason(Enum):
     AMONG = (63, "LAND: motors {} lost, not told which")
     PROBING = (63, "motors {} lost: testing which")
     MORE = (63, "LAND: motor {} pulls more than asked")
+    WEAK = (63, "motor {} has lost a part of its thrust")
     UNRESPONSIVE = (63, "LAND: motor {} does not answer")
     PARTIAL = (63, "reallocated a partial loss of motor {}")
     PARTIAL_NO_YAW = (63, "reallocated, motor {} partly lost, yaw given up")

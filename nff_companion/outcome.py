@@ -104,6 +104,8 @@ class Outcome:
             either=tuple(motor + 1 for motor in state.either),
             among=() if estimate is None else tuple(tuple(i + 1 for i in motors) for motors in estimate.among),
             more=() if estimate is None else tuple(motor + 1 for motor in estimate.more),
+            weak=() if estimate is None else tuple(motor + 1 for motor in estimate.weak),
+            weak_left=1.0 if estimate is None else estimate.weak_left,
             unresponsive=(state.fit.answers.told + 1,) if state.trusted and state.fit.answers.told >= 0 else (),
             probing=planning.probing and (mode == Mode.OVERRIDE or (mode == Mode.ALLOCATE and condition.takes_matrix)),
             fit=state.fit.fit,

@@ -218,6 +218,7 @@ class Reporter:
             "probing": output.probing,
             "more": list(output.more),
             "unresponsive": list(output.unresponsive),
+            "weak": {"motors": list(output.weak), "left": round(output.weak_left, 2)} if output.weak else None,
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],

@@ -61,13 +61,13 @@ def verdict(output: Output, condition: Condition, asked: Mode, parts: Parts, unc
     if trouble is not None:
         return trouble
     if asked == Mode.OBSERVE:  # what nothing is done about anyway is said all the same
-        return _undecided(output) or Statement(Reason.OBSERVING)
+        return _undecided(output) or _weak(output) or Statement(Reason.OBSERVING)
     if not parts.identify:
         return Statement(Reason.NOT_WATCHING, parts.name)
     if unconfirmed_s is not None and unconfirmed_s > CONFIRM_MAX_S:
         return Statement(Reason.NOT_CONFIRMED, _refusals(condition))
     if not _anything(output):
-        return _undecided(output) or _HEALTHY
+        return _undecided(output) or _weak(output) or _HEALTHY
     motors = _listed(output.failed if output.failed.any() else output.degraded)
     if unconfirmed_s is not None:
         return Statement(Reason.TELLING, motors)
@@ -93,6 +93,10 @@ def _undecided(output: Output) -> Statement | None:
     if output.more:
         return Statement(Reason.MORE, " or ".join(map(str, output.more)))
     return Statement(Reason.UNRESPONSIVE, str(output.unresponsive[0])) if output.unresponsive else None
+
+
+def _weak(output: Output) -> Statement | None:
+    return Statement(Reason.WEAK, " or ".join(map(str, output.weak))) if output.weak else None
 
 
 def _anything(output: Output) -> bool:

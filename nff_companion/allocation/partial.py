@@ -57,6 +57,10 @@ class Partial:
         o, eta = self._tuning, estimate.effectiveness
         theirs = estimate.failed.copy()  # of those that are declared something else is done
         theirs[list(estimate.either)] = True
+        if estimate.weak:  # then it is no other one
+            others = np.ones_like(theirs)
+            others[list(estimate.weak)] = False
+            theirs |= others
         loss, held = (eta < o.shape_full_at) & ~theirs, state.held < 1.0
         if not (loss.any() or held.any() or np.isfinite(state.low_since_s).any()):
             return state

@@ -153,7 +153,7 @@ def _losses(estimate: Estimate, motors: int) -> list[NDArray[np.float64]]:
         each = np.zeros(motors)
         each[list(chosen)] = loss
         out.append(each)
-    return out
+    return out if len(out) > 1 else [*out, np.zeros(motors)]  # of one, whether it is lost
 
 
 def _telling(apart: list[NDArray[np.float64]], cost: NDArray[np.float64]) -> NDArray[np.float64]:

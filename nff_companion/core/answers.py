@@ -2,8 +2,9 @@
 
 In steady flight it lacks nothing, and no loss is seen. It shows when the others move: the vehicle turns as if this one
 had not moved. Of each axis the measured acceleration is explained by what all motors were asked to turn, by how much
-later, and by the body's rate, each by a factor of its own, so that a file that is off is no motor's fault; what one
-motor adds to that, by the same share about all axes, is compared with what any other one would. Pure.
+later, by the body's rate, each by a factor of its own, and by what they lift beside a centre of mass that is a little
+elsewhere, so that a file that is off is no motor's fault; what one motor adds to that, by the same share about all
+axes, is compared with what any other one would. Pure.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from nff_companion.core.tuning import FitTuning
 
+_FILE = len(("asked", "rate", "later", "lift"))  # columns of what the file may have wrong
 _TINY = 1e-12
 
 
@@ -33,16 +35,17 @@ class Answers:
     """Constants of an airframe. Columns of the sums: n accelerations, their n rates, anything, m thrusts from column
     ``motors``, and last the n derivatives of the modelled accelerations; n turns."""
 
-    def __init__(self, rows: NDArray[np.float64], motors: int, tuning: FitTuning) -> None:
-        """``rows`` (n, m) of the effectiveness matrix in accelerations, of the turns; ``motors``: the first thrust's
-        column."""
+    def __init__(self, effectiveness: NDArray[np.float64], motors: int, tuning: FitTuning) -> None:
+        """``effectiveness`` (1 + n, m) in accelerations, up first; ``motors``: the first thrust's column."""
+        lift, rows = effectiveness[0], effectiveness[1:]
         self._tuning, axes, count = tuning, *rows.shape
         width = motors + count + axes
-        columns = np.zeros((axes, width, 3 + count + 1))  # asked, rate, later; each motor's part; measured
+        columns = np.zeros((axes, width, _FILE + count + 1))  # the file's; each motor's part; measured
         for axis in range(axes):
             columns[axis, motors : motors + count, 0] = rows[axis]
             columns[axis, axes + axis, 1] = columns[axis, motors + count + axis, 2] = columns[axis, axis, -1] = 1.0
-            columns[axis, np.arange(motors, motors + count), np.arange(3, 3 + count)] = rows[axis]
+            columns[axis, motors : motors + count, 3] = lift * float(np.abs(rows[axis]).max() / lift.mean())
+            columns[axis, np.arange(motors, motors + count), np.arange(_FILE, _FILE + count)] = rows[axis]
         self._columns, self._width, self._motors = columns, width, count
 
     def start(self) -> AnswersState:
@@ -63,17 +66,18 @@ class Answers:
     def lost(self, state: AnswersState) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Share (m,) of its changes that each motor, were it the only one, does not make, and by how many nats (m,)
         that explains more than that all do."""
-        turned = self._columns.swapaxes(1, 2) @ state.sums @ self._columns  # (n, 3 + m + 1, 3 + m + 1)
+        turned = self._columns.swapaxes(1, 2) @ state.sums @ self._columns  # (n, 4 + m + 1, 4 + m + 1)
         energy = np.diagonal(turned, axis1=1, axis2=2)
         nothing = np.zeros(self._motors)
-        if not (energy[:, :3] > 0.0).all():
+        if not (energy[:, :_FILE] > 0.0).all():
             return nothing, nothing
-        asked = turned[:, :3, :3] + np.einsum("ai,ij->aij", self._tuning.ridge * energy[:, :3], np.eye(3))
-        rest = turned - turned[:, :3].swapaxes(1, 2) @ np.linalg.solve(asked, turned[:, :3])
+        ridge = np.einsum("ai,ij->aij", self._tuning.ridge * energy[:, :_FILE], np.eye(_FILE))
         independent = max(state.seconds * self._tuning.independent_hz, 1.0)
-        variance = np.maximum(rest[:, -1, -1], _TINY) / independent
-        square = (np.diagonal(rest, axis1=1, axis2=2)[:, 3:-1] / variance[:, None]).sum(axis=0)
-        with_it = (rest[:, 3:-1, -1] / variance[:, None]).sum(axis=0)
+        variance = np.maximum(_without(turned, ridge)[:, -1, -1], _TINY) / independent
+        ridge[:, 3, 3] += variance / self._tuning.answers_balance**2
+        rest = _without(turned, ridge)
+        square = (np.diagonal(rest, axis1=1, axis2=2)[:, _FILE:-1] / variance[:, None]).sum(axis=0)
+        with_it = (rest[:, _FILE:-1, -1] / variance[:, None]).sum(axis=0)
         lost = np.clip(-with_it / np.maximum(square, _TINY), 0.0, 1.0)
         return lost, -with_it * lost - 0.5 * square * lost * lost
 
@@ -89,3 +93,9 @@ class Answers:
         return (
             motor if lost[motor] >= least and enough and ahead >= o.answers_margin_min * (0.0 if ends else 1.0) else -1
         )
+
+
+def _without(gram: NDArray[np.float64], ridge: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is left of ``gram`` (n, k, k) when the file's columns are fitted, held back by ``ridge`` (n, 4, 4)."""
+    files = gram[:, :_FILE]
+    return np.asarray(gram - files.swapaxes(1, 2) @ np.linalg.solve(files[:, :, :_FILE] + ridge, files))

@@ -198,11 +198,12 @@ class Decision:
         """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it
         lead."""
         o, alike = self.tuning, () if best is None else best.alike
-        if best is not None and state.among is not None:
-            if best.unmoved:
-                return replace(state.among, since_s=time_s, seen_s=time_s, told=False, refuted=True)
-            if state.among.refuted and best.motors in state.among.sets:
-                return followed(state.among, time_s, state.among.sets, o)
+        among = state.among
+        if best is not None and best.unmoved:
+            sets = among.sets if among is not None and among.told else (best.motors,)
+            return Among(sets, since_s=time_s, seen_s=time_s, refuted=True)
+        if best is not None and among is not None and among.refuted and best.motors in among.sets:
+            return followed(among, time_s, among.sets, o)
         lost = best is not None and best.explained >= o.explained_min
         room = self.failed_max - sum(state.failed.tolist())
         if not lost or not any(len(motors) <= room and min(loss) >= o.loss_sudden for motors, loss in alike):

@@ -15,6 +15,7 @@ from nff_companion.core.decision import DecisionState, Event
 from nff_companion.core.disturbance import DisturbanceState, Expectation, SideDragState
 from nff_companion.core.evidence import Evidence
 from nff_companion.core.onset import OnsetState
+from nff_companion.core.partial_loss import NOTHING, PartialLossState
 from nff_companion.core.residual import ResidualState
 from nff_companion.core.second_look import SecondLook
 from nff_companion.core.slid_load import SlidLoadState
@@ -45,6 +46,7 @@ class EstimatorState:
     evidence: Evidence | None = None  # while a set of losses cannot be told apart
     second_look: SecondLook | None = None  # for a moment after a declaration
     slid_load: SlidLoadState | None = None  # while a loss is seen that may be none
+    partial_loss: PartialLossState = NOTHING
 
 
 @dataclass(slots=True)
@@ -65,6 +67,8 @@ class Estimate:
     settled: bool = True  # what the file has wrong in steady flight has been learnt: what looks partly lost may be
     either: tuple[int, ...] = ()  # indices of two motors above each other, of which one has failed
     among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
+    weak: tuple[int, ...] = ()  # index of the motor that has lost a part; of two above each other: one of them
+    weak_left: float = 1.0  # effectiveness that it has left
     more: tuple[int, ...] = ()  # index of the motor that pulls more than asked; of two above each other: one of them
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
@@ -81,6 +85,7 @@ class Weighed:
     best: Hypothesis | None = None
     direct: Hypothesis | None = None
     evidence: Evidence | None = None
+    again: float = 0.0  # nats by which a motor that has lost a part gives more again
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nff_companion.core import sparse
+from nff_companion.core import partial_loss, sparse
 from nff_companion.core.balance import Balance, BalanceState
 from nff_companion.core.curve import Curve
 from nff_companion.core.decision import DecisionState
@@ -29,8 +29,9 @@ from nff_companion.core.filters import lag_share
 from nff_companion.core.identification import Decided, Identification
 from nff_companion.core.mates import HALF
 from nff_companion.core.onset import OnsetState
+from nff_companion.core.partial_loss import PartialLossState
 from nff_companion.core.residual import ResidualFilter
-from nff_companion.core.slid_load import SlidLoad
+from nff_companion.core.slid_load import SlidLoad, SlidLoadState
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import YAW, Vehicle
 from nff_companion.core.weighing import Hypothesis
@@ -142,6 +143,7 @@ class Estimator:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
+        weak = self._weak(state.partial_loss, time_s, decision, weighed, load, settled=time_s >= fast_until_s)
         among = decision.among if decision.among is not None and decision.among.told else None
         if decision.among is not None and decision.among.refuted and not decision.candidate:
             # No motor is lost by how the residual moves: what explained it is the file's, and quickly learnt.
@@ -174,8 +176,9 @@ class Estimator:
             effectiveness=effectiveness,
             deviation=deviation,
             second_look=decided.second_look,
-            evidence=weighed.evidence if decision.among is not None and decision.among.told else None,
+            evidence=weighed.evidence,
             slid_load=load,
+            partial_loss=weak,
         )
         if decision.more is not None or (best is not None and best.overruled):
             effectiveness = np.where(decision.failed, effectiveness, 1.0)  # what others seem to lack it does too much
@@ -198,6 +201,8 @@ class Estimator:
             best=best,
             events=events,
             settled=time_s >= fast_until_s,
+            weak=weak.told,
+            weak_left=1.0 - weak.told_loss,
             balance=state.balance.share,
             gain=state.balance.gain,
             bend=state.curve.bend,
@@ -340,6 +345,25 @@ class Estimator:
         since_s = time_s if state.quiet_since_s is None else state.quiet_since_s
         return (time_s, None) if time_s - since_s >= o.quiet_s else (state.fast_until_s, since_s)
 
+    def _weak(
+        self,
+        state: PartialLossState,
+        time_s: float,
+        decision: DecisionState,
+        weighed: Weighed,
+        load: SlidLoadState | None,
+        *,
+        settled: bool,
+    ) -> PartialLossState:
+        """The motor that has lost a part; ``settled``: what the file has wrong in steady flight has been learnt."""
+        best = weighed.best
+        if True in decision.failed.tolist() or decision.either or decision.among or decision.more:
+            return partial_loss.beside(state, decision.failed, decision.either)
+        if not settled or (best is None and not state.motors):
+            return state
+        place = () if best is None else self._identification.place(best.motors)
+        return partial_loss.followed(state, time_s, best, place, load, weighed.again, self.tuning.decision)
+
     def _learning_rate(
         self, state: EstimatorState, time_s: float, suspicious_since_s: float | None, best: Hypothesis | None
     ) -> float:
@@ -356,7 +380,14 @@ class Estimator:
 
 def _ordered(state: EstimatorState) -> EstimatorState:
     """After an order has changed what is declared: what was being told apart, or looked at again, was of before."""
-    return replace(state, decision=replace(state.decision, among=None), evidence=None, second_look=None, slid_load=None)
+    return replace(
+        state,
+        decision=replace(state.decision, among=None),
+        evidence=None,
+        second_look=None,
+        slid_load=None,
+        partial_loss=partial_loss.NOTHING,
+    )
 
 
 def _shut(estimate: Estimate) -> None:

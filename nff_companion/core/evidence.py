@@ -1,4 +1,5 @@
-"""What has been seen since a set of losses was first said that cannot be told apart: how the residual changes.
+"""What has been seen since a set of losses was first said that cannot be told apart, or since losses are suspected that
+nobody declares: how the residual changes.
 
 Each of the sets explains what the residual is, by losses of its own; what the model has wrong of that is the same at
 every moment. What tells them apart is how the residual moves when the motors do, by a test or by the way that the
@@ -52,8 +53,8 @@ class Sums:
 
 
 class Told(NamedTuple):
-    """A pair of motors (indices), its losses, and by how many nats it is ahead of the next pair, and of that none is
-    lost: of the better of the two; and of the second alone, below 0 where the residual does not move with any pair."""
+    """A set of motors (indices), their losses, and by how many nats it is ahead of the next set, and of that none is
+    lost: of the better of the two; and of the second alone, below 0 where the residual does not move with any set."""
 
     motors: tuple[int, ...]
     loss: tuple[float, ...]
@@ -95,14 +96,20 @@ class Evidence:
         return Evidence(whole, empty, time_s, self.matrix + matrix, self.vector + vector)
 
     def told(self, sets: tuple[tuple[int, ...], ...], gamma: float) -> Told:
-        """The pair of ``sets`` (indices) by which the residual moves best."""
-        pairs = np.array(sets)
-        found = hypotheses.pairs(self.whole.matrix[None], self.whole.vector[None], gamma, pairs[:, 0], pairs[:, 1])
+        """The one of ``sets`` (indices, one or two) by which the residual moves best."""
         matrix, vector = self.block.changes()
         matrix, vector = self.matrix + matrix, self.vector + vector
-        improvement = np.zeros(len(sets) + 1)
-        for k, (motors, e) in enumerate(zip(pairs, found.e[0], strict=True)):
-            improvement[k] = vector[motors].dot(e) - 0.5 * e.dot(matrix[np.ix_(motors, motors)]).dot(e)
+        improvement, losses = np.zeros(len(sets) + 1), [self._lost(motors, gamma) for motors in sets]
+        for k, (motors, e) in enumerate(zip(sets, losses, strict=True)):
+            improvement[k] = vector[list(motors)].dot(e) - 0.5 * e.dot(matrix[np.ix_(motors, motors)]).dot(e)
         best = int(improvement[:-1].argmax())
         ahead = float(improvement[best] - np.delete(improvement, best).max())
-        return Told(sets[best], tuple((-found.e[0, best]).tolist()), ahead, float(improvement[best]))
+        return Told(sets[best], tuple((-losses[best]).tolist()), ahead, float(improvement[best]))
+
+    def _lost(self, motors: tuple[int, ...], gamma: float) -> NDArray[np.float64]:
+        """eta - 1 of each of ``motors``, by all that was seen."""
+        matrix, vector = self.whole.matrix[None], self.whole.vector[None]
+        if len(motors) == 1:
+            return hypotheses.singles(matrix, vector, gamma).e[0, motors[0]]
+        first, second = (np.array([motor]) for motor in motors)
+        return hypotheses.pairs(matrix, vector, gamma, first, second).e[0, 0]

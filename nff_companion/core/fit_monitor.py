@@ -76,7 +76,7 @@ class FitMonitor:
         self._orders = orders(self._rows)
         self._others = np.stack([order.rows for order in self._orders], axis=1)  # (3, orders, m)
         self._unit = np.eye(vehicle.motors)
-        self._answers = Answers(self._rows, _HEAD, tuning)
+        self._answers = Answers(nominal, _HEAD, tuning)
         self._width = _HEAD + vehicle.motors
 
     def start(self) -> FitState:

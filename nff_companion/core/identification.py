@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nff_companion.core import works_again
+from nff_companion.core import hypotheses, works_again
 from nff_companion.core.decision import Decision, DecisionState, Event
 from nff_companion.core.estimate import EstimatorState, Measurement, Seen, Weighed
 from nff_companion.core.evidence import Evidence
@@ -61,11 +61,22 @@ class Identification:
         self._weighing = Weighing(vehicle.motors, o.decision, self._mates)
         self._decision = Decision(vehicle.motors, vehicle.axes, o.decision, self._mates)
 
+    def place(self, motors: tuple[int, ...]) -> tuple[int, ...]:
+        """The two motors (indices) above each other that ``motors`` are, or are of; empty: there are none."""
+        return () if self._mates is None else self._mates.place(motors)
+
     def weighed(self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement) -> Weighed:
         """The hypotheses of a sample; ``onset`` with it."""
         found = self._weigh(state, seen, onset, measurement)
         if measurement.time_s < state.begin_until_s:
             found = Weighed()
+        best = found.best
+        joined = state.begin_until_s < state.started_s and measurement.time_s < state.fast_until_s
+        if joined and best is not None and len(best.motors) > 1:
+            # Of a flight that is under way nothing is learnt yet, and the file may have as much wrong: two are a set,
+            # told by what moves.
+            alike = best.alike or ((best.motors, best.loss),)
+            found = replace(found, best=replace(best, margin=0.0, beside=0.0, alike=alike))
         found = self._longer(state, seen, found, measurement.time_s)
         best = self._placed(state, seen, found.best)
         return found if best is found.best else replace(found, best=best)
@@ -86,7 +97,14 @@ class Identification:
         time_s, best = measurement.time_s, weighed.best
         turned = None if best is None else self.onset.worked(onset)
         decision, events = self._decision.step(
-            state.decision, time_s, best, effectiveness, deviation, measurement.command, weighed.direct, turned
+            state.decision,
+            time_s,
+            best,
+            effectiveness,
+            deviation,
+            measurement.command,
+            weighed.direct,
+            turned,
         )
         look = state.second_look
         if look is not None and not events and decision.either == state.decision.either:
@@ -119,7 +137,9 @@ class Identification:
         best = self._weighing.best(sums, failed, gamma, either)
         if either and best is not None:
             best = works_again.beside(best, sums, either, failed, gamma, self._tuning.decision)
-        return Weighed(best is not None, best, direct)
+        weak = state.partial_loss.told
+        again = hypotheses.together(sums.matrix, sums.vector, weak, 1.0) if weak else 0.0
+        return Weighed(best is not None, best, direct, again=again)
 
     def _learns_alike(self, state: EstimatorState, time_s: float) -> bool:
         """Whether the speed of learning is the same however sure the best hypothesis is."""
@@ -135,9 +155,13 @@ class Identification:
 
     def _longer(self, state: EstimatorState, seen: Seen, weighed: Weighed, time_s: float) -> Weighed:
         """While a set of losses cannot be told apart: with the one of them as the best by which the residual moves,
-        where that is certain."""
+        where that is certain. And where losses go on being suspected: whether it moves with them at all."""
         among, best, o = state.decision.among, weighed.best, self._tuning.decision
-        if among is None or not among.told:
+        told = among is not None and among.told
+        since_s = state.suspicious_since_s
+        if not told and (
+            since_s is None or time_s - since_s < o.among_size_s or True in state.decision.failed.tolist()
+        ):
             return weighed
         evidence = state.evidence or Evidence.none(self._axes, self._motors, time_s)
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
@@ -145,21 +169,21 @@ class Identification:
         doubt = self._tuning.onset.single_error_share**2 * np.add.reduce(each * each, axis=1)
         weight = self._per_sample / (seen.variance + doubt)
         evidence = evidence.grown(time_s, matrix * w, seen.residual, weight, o.among_block_s)
-        sets = tuple(motors for motors in among.sets if len(motors) == 2)
-        if best is None or len(sets) < 2:
+        sets = among.sets if told and among is not None else () if best is None else (best.motors,)
+        if best is None or not sets:
             return replace(weighed, evidence=evidence)
         found = evidence.told(sets, self._tuning.onset.gamma_onset)
-        told = replace(best, motors=found.motors, loss=found.loss, margin=found.ahead, beside=found.ahead)
-        told = replace(told, more=-1, moved=True, alike=())
-        if self._decision.convincing(told):
-            return replace(weighed, best=told, evidence=evidence)
+        moved = replace(best, motors=found.motors, loss=found.loss, margin=found.ahead, beside=found.ahead)
+        moved = replace(moved, more=-1, moved=True, alike=())
+        if told and self._decision.convincing(moved):
+            return replace(weighed, best=moved, evidence=evidence)
         if found.improvement < -o.among_refuted_min:
-            best = replace(best, unmoved=True)
-        return replace(weighed, best=best, evidence=evidence)
+            return replace(weighed, best=replace(best, unmoved=True))  # what comes then is seen afresh
+        return replace(weighed, evidence=evidence)
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:
         """With the two motors above each other that ``best`` is about, where it cannot be told which."""
-        place = () if self._mates is None or best is None else self._mates.place(best.motors)
+        place = () if best is None else self.place(best.motors)
         if self._mates is None or best is None or not place:
             return best
         w, lateral = seen.filtered.thrust_shown, math.hypot(*seen.filtered.lateral_slow_m_s2.tolist())

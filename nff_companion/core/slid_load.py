@@ -28,6 +28,7 @@ class SlidLoadState:
     seen_s: float
     seen: bool = True
     slid: bool = False
+    nats: float = 0.0  # by which the thrust axis speaks for the loss; below 0: against it
 
 
 class SlidLoad:
@@ -69,4 +70,4 @@ class SlidLoad:
             return SlidLoadState(sparse.Information.empty(self._motors), 1.0 - least, time_s)
         nats = -float(state.lift.vector.dot(loss)) - 0.5 * float(loss.dot(state.lift.matrix).dot(loss))
         slid = least > self._lost and nats < -self._tuning.nats_min
-        return replace(state, seen_s=time_s, seen=True, slid=slid)
+        return replace(state, seen_s=time_s, seen=True, slid=slid, nats=nats)

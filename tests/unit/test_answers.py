@@ -42,7 +42,7 @@ def looks(
 def flown(
     airframe: Vehicle, rng: np.random.Generator, answers: NDArray[np.float64], seconds: int = 12, **off: object
 ) -> AnswersState:
-    monitor = Answers(airframe.acceleration_effectiveness[1:], FIRST, TUNING)
+    monitor = Answers(airframe.acceleration_effectiveness, FIRST, TUNING)
     state = monitor.start()
     for _ in range(seconds):
         state = monitor.step(state, looks(airframe, rng, answers, **off), LOOK_S)  # type: ignore[arg-type]
@@ -81,7 +81,7 @@ def test_half_a_motor_is_a_partial_loss_and_answers(octo: Vehicle, rng: np.rando
 def test_it_is_believed_after_some_judgements_and_until_it_answers_again(
     octo: Vehicle, rng: np.random.Generator
 ) -> None:
-    monitor, silent = Answers(octo.acceleration_effectiveness[1:], FIRST, TUNING), np.where(np.arange(8) == 2, 0.0, 1.0)
+    monitor, silent = Answers(octo.acceleration_effectiveness, FIRST, TUNING), np.where(np.arange(8) == 2, 0.0, 1.0)
     state, told = monitor.start(), list[int]()
     for second in range(60):
         state = monitor.step(state, looks(octo, rng, silent if second < 12 else np.ones(8)), LOOK_S)
@@ -93,7 +93,7 @@ def test_it_is_believed_after_some_judgements_and_until_it_answers_again(
 
 
 def test_a_vehicle_that_does_not_move_says_nothing(octo: Vehicle) -> None:
-    monitor = Answers(octo.acceleration_effectiveness[1:], FIRST, TUNING)
+    monitor = Answers(octo.acceleration_effectiveness, FIRST, TUNING)
     state = monitor.step(monitor.start(), np.zeros((LOOKS, 18)), LOOK_S)
     assert (state.told, state.motor) == (-1, -1)
     lost, improvement = monitor.lost(replace(state, sums=state.sums))

@@ -24,6 +24,8 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "either": [],
         "more": [],
         "unresponsive": [],
+        "weak": [],
+        "weak_left": None,
         "among": [],
         "among_s": None,
         "delay_s": 0.07,

@@ -89,6 +89,9 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     silent = verdict(wanting(unresponsive=(3,)), condition, Mode.ALLOCATE, FLOWN, None)
     assert (silent.reason, silent.text) == (Reason.UNRESPONSIVE, "LAND: motor 3 does not answer")
     assert verdict(wanting(unresponsive=(3,)), condition, Mode.OBSERVE, FLOWN, None) == silent
+    for mode in (Mode.OBSERVE, Mode.ALLOCATE):
+        weak = verdict(wanting(weak=(2, 5)), condition, mode, FLOWN, None)
+        assert (weak.reason, weak.text) == (Reason.WEAK, "motor 2 or 5 has lost a part of its thrust")
     assert verdict(wanting(), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
     document = Reporter(octo, None, 1).document(moment, 0.0, [])
@@ -151,6 +154,7 @@ def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, 
         (Reason.AMONG, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.MORE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.UNRESPONSIVE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.WEAK, dialect.MAV_SEVERITY_WARNING, "part of its thrust"),
         (Reason.PROBING, dialect.MAV_SEVERITY_WARNING, "testing"),
         (Reason.PARTIAL, dialect.MAV_SEVERITY_WARNING, "partial loss of motor x"),
         (Reason.PARTIAL_NO_YAW, dialect.MAV_SEVERITY_WARNING, "motor x partly lost"),
@@ -176,7 +180,9 @@ def test_whatever_is_believed_of_motors_or_done_about_them_reaches_the_pilot(rea
     assert len(str(text.text)) <= 50
 
 
-@pytest.mark.parametrize("reason", [Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.EITHER, Reason.PARTIAL])
+@pytest.mark.parametrize(
+    "reason", [Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.WEAK, Reason.EITHER, Reason.PARTIAL]
+)
 def test_other_motors_are_news(reason: Reason) -> None:
     announcer = Announcer()
     assert announcer.verdict(Statement(reason, "1+2 or 7+8"), 10.0)

@@ -109,7 +109,7 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             "that none of a set is lost is ahead of each of it, by how the residual moves: it is the file then, and"
             " learnt. Of an octorotor that began to climb with a file guessed it was ahead by 80",
         ),
-    ] = 20.0
+    ] = 10.0
     among_refuted_s: Annotated[
         float, span(0.1, 10.0, "s", "for which it is learnt; what still looks like them then is weighed anew")
     ] = 2.0
@@ -130,6 +130,19 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         float,
         span(0.5, 0.99, "", "the same by a pair of which one motor is named: of a tumbling quadrotor a pair made 0.72"),
     ] = 0.80
+    partial_loss_min: Annotated[
+        float, span(0.05, 0.6, "", "least loss of a motor that is told to have lost a part of its thrust")
+    ] = 0.15
+    partial_explained_min: Annotated[
+        float, span(0.5, 0.99, "", "share of the residual's energy that it explains: air explains less")
+    ] = 0.80
+    partial_lift_min: Annotated[
+        float,
+        span(
+            0.0, 30.0, "nats", "that the thrust axis alone says of it: of 60 loads that slid by guessed files, 11 would"
+        ),
+    ] = 3.0
+    partial_confirm_s: Annotated[float, span(0.0, 5.0, "s", "for which it must explain so much")] = 0.1
     look_share: Annotated[
         float, span(0.1, 1.0, "", "of improvement_min from which a hypothesis is looked at, and learning is frozen")
     ] = 0.5

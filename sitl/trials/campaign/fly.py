@@ -95,6 +95,8 @@ class Record:
 
         self.more: list[dict[int, float]] = [{} for _ in range(n)]  # motors that pull more than asked, and since when
         self.unresponsive: list[dict[int, float]] = [{} for _ in range(n)]  # that do not answer, and since when
+        self.weak: list[dict[tuple[int, ...], float]] = [{} for _ in range(n)]  # that have lost a part, and since when
+        self.weak_left = [1.0] * n
         self.flaps = [0] * n  # changes of what is done about a motor, within a few seconds of its last one
         self._about: list[frozenset[int]] = [frozenset()] * n
         self._changed_s: list[dict[int, float]] = [{} for _ in range(n)]
@@ -123,6 +125,9 @@ class Record:
                     self.more[k].setdefault(motor, fleet.time_s)
                 for motor in companion.output.unresponsive:
                     self.unresponsive[k].setdefault(motor, fleet.time_s)
+                if companion.output.weak:
+                    self.weak[k].setdefault(companion.output.weak, fleet.time_s)
+                    self.weak_left[k] = companion.output.weak_left
             among = companion.output.among
             if among and flies[k]:
                 self.among[k] = min(self.among[k][0], fleet.time_s), among
@@ -164,8 +169,8 @@ def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
 def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict[str, Any]:
     """What the companion of vehicle ``k`` said of it. ``delay_s``: from the failure until all motors that fail are
     named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), as not
-    answering (``unresponsive``), or, where they are not lost in full, as allocated around (``partly``, the first one at
-    ``partly_s``);
+    answering (``unresponsive``), or, where they are not lost in full, as ``weak`` (of two above each other: one of
+    them; ``weak_left``: the effectiveness said last) or allocated around (``partly``, the first one at ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
     ``wrong``: motors named that work; ``changes``: declarations and lifts; ``flaps``: changes of what is done about a
     motor within 5 s of its last one."""
@@ -189,6 +194,12 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
             right[motor] = min(right.get(motor, math.inf), time_s)
         else:
             wrong = sorted({*wrong, motor})
+    for motors, time_s in record.weak[k].items():
+        its = set(motors) & set(case.motors)
+        if its and time_s >= case.at_s and case.fault in NOT_IN_FULL:
+            right |= {motor: min(right.get(motor, math.inf), time_s) for motor in its}
+        elif not its or time_s < case.at_s:
+            wrong = sorted({*wrong, *motors})
     for motor, time_s in partly.items():
         if motor in case.motors and time_s >= case.at_s and case.fault in NOT_IN_FULL:
             right[motor] = min(right.get(motor, math.inf), time_s)
@@ -198,6 +209,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "either": list(one_of),
         "more": sorted(more),
         "unresponsive": sorted(record.unresponsive[k]),
+        "weak": sorted({motor for motors in record.weak[k] for motor in motors}),
+        "weak_left": record.weak_left[k] if record.weak[k] else None,
         "among": [list(motors) for motors in among[1]],
         "among_s": None if not among[1] else round(among[0] - case.at_s, 4),
         "delay_s": round(max(right.values()) - case.at_s, 4) if case.motors and whole else None,

@@ -35,6 +35,8 @@ _TYPES = {
     "either": "list<int64>",
     "more": "list<int64>",
     "unresponsive": "list<int64>",
+    "weak": "list<int64>",
+    "weak_left": "double",
     "among": "list<list<int64>>",
     "among_s": "double",
     "delay_s": "double",
