@@ -143,7 +143,7 @@ class Estimator:
             suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
-        weak = self._weak(state.partial_loss, time_s, decision, weighed, load, settled=time_s >= fast_until_s)
+        weak = self._weak(state, time_s, decision, weighed, load, settled=time_s >= fast_until_s)
         among = decision.among if decision.among is not None and decision.among.told else None
         if decision.among is not None and decision.among.refuted and not decision.candidate:
             # No motor is lost by how the residual moves: what explained it is the file's, and quickly learnt.
@@ -347,7 +347,7 @@ class Estimator:
 
     def _weak(
         self,
-        state: PartialLossState,
+        state: EstimatorState,
         time_s: float,
         decision: DecisionState,
         weighed: Weighed,
@@ -356,13 +356,21 @@ class Estimator:
         settled: bool,
     ) -> PartialLossState:
         """The motor that has lost a part; ``settled``: what the file has wrong in steady flight has been learnt."""
-        best = weighed.best
+        best, weak = weighed.best, state.partial_loss
+        if (
+            decision.among
+            and decision.among.refuted
+            and set(weak.told) & {i for one in decision.among.sets for i in one}
+        ):
+            return partial_loss.NOTHING
         if True in decision.failed.tolist() or decision.either or decision.among or decision.more:
-            return partial_loss.beside(state, decision.failed, decision.either)
-        if not settled or (best is None and not state.motors):
-            return state
+            return partial_loss.beside(weak, decision.failed, decision.either)
+        if not settled or (best is None and not weak.motors and not weak.told):
+            return weak
         place = () if best is None else self._identification.place(best.motors)
-        return partial_loss.followed(state, time_s, best, place, load, weighed.again, self.tuning.decision)
+        return partial_loss.followed(
+            weak, time_s, best, place, load, weighed.again, state.effectiveness, self.tuning.decision
+        )
 
     def _learning_rate(
         self, state: EstimatorState, time_s: float, suspicious_since_s: float | None, best: Hypothesis | None

@@ -3,7 +3,8 @@
 One motor explains the last moments better than none, any other and any pair, by a loss too small to be declared. A load
 that slid turns the vehicle as well; it takes no lift, so the thrust axis must speak for the loss (core/slid_load.py).
 What is told stays told: within seconds it is learnt with all else that is steady, and shows no longer. It ends when
-the motor gives more again, is declared, or another one is told. Nothing is done about it here. Pure.
+the motor gives more again (what was learnt shows the other way round, or what was not ends at once), when it is
+declared, or another one is told. Nothing is done about it here. Pure.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class PartialLossState:
     improvement: float = 0.0
     told: tuple[int, ...] = ()
     told_loss: float = 0.0
+    shown_s: float = 0.0  # when most of the told loss was last seen
 
 
 NOTHING = PartialLossState()
@@ -67,14 +69,20 @@ def followed(
     place: tuple[int, ...],
     load: SlidLoadState | None,
     again: float,
+    effectiveness: NDArray[np.float64],
     tuning: DecisionTuning,
 ) -> PartialLossState:
     """A sample later. ``place``: the two motors (indices) above each other that ``best`` is about: of a part of what
     one of them gives yaw tells too little. ``again``: nats by which the last moments are explained by that what is
-    told gives more again."""
+    told gives more again; ``effectiveness`` (m,) by the sparse program."""
     rival = 0.0 if best is None else best.improvement
-    if state.told and again >= tuning.improvement_min and again - rival >= needed(again, tuning):
-        return NOTHING
+    if state.told:
+        lost, some = float((1.0 - effectiveness[list(state.told)]).sum()), tuning.partial_again_share * state.told_loss
+        at_once = lost < some and time_s - state.shown_s < tuning.partial_again_s
+        if at_once or (again >= tuning.improvement_min and again - rival >= needed(again, tuning)):
+            return NOTHING
+        if lost > 2.0 * some:
+            state = replace(state, shown_s=time_s)
     if best is None or not shows(best, place, load, tuning):
         return state if not state.motors else replace(state, motors=(), improvement=0.0)
     motors, loss = place or best.motors, min(sum(best.loss), 1.0)
@@ -86,5 +94,5 @@ def followed(
         # The same loss goes on being weighed: that of its best window. Of one that was learnt it shows a part alone.
         return replace(state, told_loss=max(state.loss, state.told_loss))
     if time_s - state.since_s >= tuning.partial_confirm_s - 1e-9:
-        return replace(state, told=motors, told_loss=state.loss)
+        return replace(state, told=motors, told_loss=state.loss, shown_s=-np.inf)
     return state

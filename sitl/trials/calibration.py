@@ -4,6 +4,7 @@ out compared with the truth; and, flown with them, how soon each motor's failure
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Callable
@@ -126,7 +127,9 @@ def _one(options: CalibrationOptions, seed: int, log: Path, true: Path) -> dict[
         found = calibrate([log], Start(airframe=options.airframe), f"seed{seed}")
     except NffError as error:
         return {"seed": seed, "refused": str(error)}
-    errors, deviations = compare(found, vehicle_model.load(str(true)))
+    made = log.with_suffix(".toml")
+    made.write_text(found.text, encoding="utf-8")
+    errors, deviations = compare(found, vehicle_model.load(str(made)), vehicle_model.load(str(true)))
     document: dict[str, Any] = {
         "seed": seed,
         "errors": errors,
@@ -134,18 +137,18 @@ def _one(options: CalibrationOptions, seed: int, log: Path, true: Path) -> dict[
         "order": found.order.best.text,
     }
     if options.identify:
-        made = log.with_suffix(".toml")
-        made.write_text(found.text, encoding="utf-8")
         files = dict(zip(FILES, (str(true), str(made), options.airframe), strict=True))
         document["failures"] = [f for name, file in files.items() for f in _failures(options, seed, name, file)]
     return document
 
 
-def compare(found: Calibration, true: Vehicle) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Errors and deviations: of roll, pitch and yaw accelerations by all of the lift that there is at the mean outputs
-    (what a lost motor takes away), and by a change of the outputs there (what a command does), as shares.
+def compare(found: Calibration, made: Vehicle, true: Vehicle) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Errors and deviations of ``made``, by what was ``found``: of roll, pitch and yaw accelerations by all of the lift
+    that there is at the mean outputs (what a lost motor takes away), and by a change of the outputs there (what a
+    command does), as shares.
 
-    The two differ by the thrust curve, which is less well known than what a command does.
+    The two differ by the thrust curve, which is less well known than what a command does. The delay is that of output
+    and gyro's filter together: of a filter that is not what the file says it takes the difference.
     """
     fit, layout = found.fit, found.fit.layout
     at_mean = true.acceleration_effectiveness * float(true.thrust_fraction(np.array(fit.mean_output)))
@@ -158,11 +161,12 @@ def compare(found: Calibration, true: Vehicle) -> tuple[dict[str, Any], dict[str
     steeper = model.steepness(fit.x, layout, fit.mean_output)[0] / _steepness(fit, true.thrust_fraction)
     lag_s = 0.5 * (shape.lag_up_s + shape.lag_down_s)
     true_lag_s = 0.5 * float(np.mean(true.rotors.time_constant_up_s + true.rotors.time_constant_down_s))
+    late_s = true.telemetry.output_delay_s + _filtered_s(true)
     errors = {
         "acceleration": gains,
         "acceleration_per_output": [(1.0 + gain) * steeper - 1.0 for gain in gains],
         "lag_ms": 1e3 * (lag_s - true_lag_s),
-        "delay_ms": 1e3 * (shape.delay_s - true.telemetry.output_delay_s),
+        "delay_ms": 1e3 * (shape.delay_s + _filtered_s(made) - late_s),
         "expo": shape.expo - true.command.thrust_expo,
     }
     deviations = {
@@ -173,6 +177,12 @@ def compare(found: Calibration, true: Vehicle) -> tuple[dict[str, Any], dict[str
         "expo": float(d[model.EXPO]),
     }
     return errors, deviations
+
+
+def _filtered_s(vehicle: Vehicle) -> float:
+    """Delay of the gyro's filter, a second-order Butterworth, below its cut-off."""
+    cutoff_hz = vehicle.telemetry.gyro_filter_hz
+    return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz) if cutoff_hz else 0.0
 
 
 def _steepness(fit: Fit, fraction: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:

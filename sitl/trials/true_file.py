@@ -23,6 +23,8 @@ def text(nominal: Path, parameters: PlantParameters, vehicle: int) -> str:
     command["thrust_expo"] = float(parameters.thrust_expo[vehicle])
     command["spin_min"] = float(parameters.spin_min[vehicle])
     document["telemetry"]["output_delay_s"] = float(parameters.output_delay_s[vehicle])
+    document["telemetry"]["gyro_filter_hz"] = float(parameters.gyro_filter_hz[vehicle])
+    document["telemetry"]["accelerometer_filter_hz"] = float(parameters.accelerometer_filter_hz[vehicle])
     place = parameters.position_m if parameters.position_m.ndim == 2 else parameters.position_m[vehicle]
     for rotor, (x, y), n in zip(document["rotor"], place.tolist(), thrust_n.tolist(), strict=True):
         for key in ("angle_deg", "arm_m"):

@@ -142,6 +142,12 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             0.0, 30.0, "nats", "that the thrust axis alone says of it: of 60 loads that slid by guessed files, 11 would"
         ),
     ] = 3.0
+    partial_again_share: Annotated[
+        float, span(0.05, 0.45, "", "of a loss that is told, that is left when the motor works again")
+    ] = 0.25
+    partial_again_s: Annotated[
+        float, span(0.1, 2.0, "s", "in which most of it has gone then: what is learnt goes more slowly")
+    ] = 0.6
     partial_confirm_s: Annotated[float, span(0.0, 5.0, "s", "for which it must explain so much")] = 0.1
     look_share: Annotated[
         float, span(0.1, 1.0, "", "of improvement_min from which a hypothesis is looked at, and learning is frozen")

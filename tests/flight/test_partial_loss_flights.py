@@ -1,0 +1,38 @@
+"""A motor that gives seven tenths for five seconds: said within one, with what is left, and until it works again."""
+
+from __future__ import annotations
+
+import pytest
+
+from nff_companion.condition import Mode, Reason
+from nff_companion.core import vehicle as vehicles
+from sitl import airframe
+from sitl.faults import Fault
+from sitl.fleet import Fleet, FleetOptions
+from sitl.trials.virtual import TrialOptions, VirtualFlight
+
+FROM_S, UNTIL_S = 4.0, 9.0
+
+
+@pytest.mark.parametrize(("name", "motors"), [("octo-x", (3,)), ("octo-plus", (3,)), ("coax-x8", (3, 8))])
+def test_a_part_of_a_motor_is_said_while_it_is_lost(name: str, motors: tuple[int, ...]) -> None:
+    fault = Fault(vehicle=0, motor=3, kind="partial", effectiveness=0.7, start_s=FROM_S, until_s=UNTIL_S)
+    options = FleetOptions(seeds=[1], height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.75, model_error=0.05)
+    fleet = Fleet(airframe.load(vehicles.path_of(name)), options, [fault])
+    flight = VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE)}, airframe=name)
+    companion, changes, said = flight.companions[0], list[tuple[float, tuple[int, ...]]](), set[Reason]()
+    while fleet.time_s < UNTIL_S + 2.0:
+        flight.step()
+        output = companion.output
+        if output.weak != (changes[-1][1] if changes else ()):
+            changes.append((fleet.time_s, output.weak))
+        if output.weak:
+            assert output.weak_left == pytest.approx(0.7, abs=0.05)
+            document = companion.session.document(fleet.time_s)
+            assert document["weak"] == {"motors": list(motors), "left": round(output.weak_left, 2)}
+            said.add(companion.session.moment().verdict.reason)
+    assert [weak for _, weak in changes] == [motors, ()]
+    assert changes[0][0] - FROM_S < 1.0
+    assert 0.0 < changes[1][0] - UNTIL_S < 0.6
+    assert said <= {Reason.WEAK, Reason.PARTIAL, Reason.TELLING}
+    assert companion.events == []
