@@ -26,6 +26,7 @@ def row(flight: int, **changed: Any) -> dict[str, Any]:
         "unresponsive": [],
         "weak": [],
         "weak_left": None,
+        "said_wrong": [],
         "among": [],
         "among_s": None,
         "delay_s": 0.07,

@@ -67,8 +67,8 @@ class FitTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ] = 0.05
     answers_hysteresis: Annotated[float, span(0.0, 0.5, "", "less of them, by which it goes on being believed")] = 0.25
     answers_improvement_min: Annotated[
-        float, span(5.0, 200.0, "nats", "over that all motors answer: 168 healthy flights by guessed files came to 12")
-    ] = 15.0
+        float, span(5.0, 200.0, "nats", "over that all motors answer: 264 healthy flights by guessed files came to 16")
+    ] = 24.0
     answers_margin_min: Annotated[float, span(2.0, 100.0, "nats", "over that another motor does not answer")] = 6.0
     answers_alike: Annotated[int, span(1, 20, "judgements", "in a row of the same motor, to be believed")] = 3
     ridge: Annotated[

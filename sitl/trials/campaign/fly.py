@@ -172,8 +172,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
     answering (``unresponsive``), or, where they are not lost in full, as ``weak`` (of two above each other: one of
     them; ``weak_left``: the effectiveness said last) or allocated around (``partly``, the first one at ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
-    ``wrong``: motors named that work; ``changes``: declarations and lifts; ``flaps``: changes of what is done about a
-    motor within 5 s of its last one."""
+    ``wrong``: motors named that work; ``said_wrong``: those said not to answer, or to be weak; ``changes``:
+    declarations and lifts; ``flaps``: changes of what is done about a motor within 5 s of its last one."""
     partly, (either_s, one_of), among, more = record.partly[k], record.either[k], record.among[k], record.more[k]
     events = [(time_s, event) for time_s, event in companion.events if time_s <= case.until_s]
     declared = [(time_s, event.motor) for time_s, event in events if event.declared]
@@ -189,17 +189,14 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
             right[motor] = min(right.get(motor, math.inf), time_s)
         elif not set(more) & set(case.motors):
             wrong = sorted({*wrong, motor})
-    for motor, time_s in record.unresponsive[k].items():
-        if motor in case.motors and time_s >= case.at_s:
-            right[motor] = min(right.get(motor, math.inf), time_s)
-        else:
-            wrong = sorted({*wrong, motor})
-    for motors, time_s in record.weak[k].items():
+    works: set[int] = set()  # said, and nothing is done about it
+    said = [((motor,), time_s) for motor, time_s in record.unresponsive[k].items()]
+    for motors, time_s in (*said, *record.weak[k].items()):
         its = set(motors) & set(case.motors)
-        if its and time_s >= case.at_s and case.fault in NOT_IN_FULL:
+        if not its or time_s < case.at_s:
+            works |= set(motors)
+        elif case.fault in NOT_IN_FULL:
             right |= {motor: min(right.get(motor, math.inf), time_s) for motor in its}
-        elif not its or time_s < case.at_s:
-            wrong = sorted({*wrong, *motors})
     for motor, time_s in partly.items():
         if motor in case.motors and time_s >= case.at_s and case.fault in NOT_IN_FULL:
             right[motor] = min(right.get(motor, math.inf), time_s)
@@ -210,6 +207,7 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "more": sorted(more),
         "unresponsive": sorted(record.unresponsive[k]),
         "weak": sorted({motor for motors in record.weak[k] for motor in motors}),
+        "said_wrong": sorted(works),
         "weak_left": record.weak_left[k] if record.weak[k] else None,
         "among": [list(motors) for motors in among[1]],
         "among_s": None if not among[1] else round(among[0] - case.at_s, 4),

@@ -37,6 +37,7 @@ _TYPES = {
     "unresponsive": "list<int64>",
     "weak": "list<int64>",
     "weak_left": "double",
+    "said_wrong": "list<int64>",
     "among": "list<list<int64>>",
     "among_s": "double",
     "delay_s": "double",

@@ -43,6 +43,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "either": sum(bool(row["either"]) for row in rows),  # named as one of two motors above each other
         "partly": sum(bool(row["partly"]) for row in rows),
         "partly_wrong": sum(bool(set(row["partly"]) - set(row["motors"])) for row in rows),  # of a motor that works
+        "said_wrong": sum(bool(row["said_wrong"]) for row in rows),  # said not to answer, or to be weak, and it works
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
         "flaps": sum(row["flaps"] or 0 for row in rows),  # changes of a motor within 5 s of its last one
         "hours": round(hours, 3),
@@ -90,6 +91,8 @@ def exception(row: Row) -> str:
         return f"said as {sets}" if sets else "missed"
     if row["alone_survived"] and not row["survived"]:
         return "lost, though it flies on alone"
+    if row["said_wrong"]:
+        return f"said of {row['said_wrong']}, which work"
     works = sorted(set(row["partly"]) - set(row["motors"]))
     if works:
         return f"allocated around {works}, which work"
