@@ -21,6 +21,7 @@ from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Out
 from nff_companion.condition import Condition, Mode, Reason, Statement, first, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideLoop, OverrideState
+from nff_companion.core import partial_loss
 from nff_companion.core.basis_network import Basis
 from nff_companion.core.estimate import Estimate, EstimatorState, Measurement, Motion
 from nff_companion.core.estimator import Estimator
@@ -220,7 +221,7 @@ class Companion:
             why = Statement(Reason.NOT_FLYING if not phase.flying else Reason.STARTING)
             why = first(why, condition.samples) or why
             fault = state.fault and phase.flying
-            fit = self._fit.paused(state.fit)
+            fit = self._fit.paused(state.fit, anew=not phase.flying)
             if phase.aloft_since_s is not None and not state.failed.any() and not state.either:
                 fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
             state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
@@ -231,6 +232,7 @@ class Companion:
             why = Statement(Reason.ESTIMATOR, str(error))
             state = replace(state, phase=phase)
             return self._bad(replace(self._interrupted(state), fault=True), condition, why, time_s)
+        weak = estimating.partial_loss if isinstance(estimating, EstimatorState) else state.weak
         fit = self._fitted(state, estimating, override)
         trusted = trusts(fit, confirmed=state.confirmed)
         if not trusted:
@@ -251,6 +253,7 @@ class Companion:
             last_s=time_s,
             good_since_s=good_since,
             fit=fit,
+            weak=weak,
             estimate=estimating,
             failed=failed,
             either=estimate.either,
@@ -271,7 +274,9 @@ class Companion:
         if before is None:
             # After a gap, or a restart in the air, what is off may be a motor that failed meanwhile.
             took_off = not state.phase.flew and state.phase.ground_m is not None
-            before = self._estimator.start(sample.time_s, gyro, force, command, state.failed, takes_off=took_off)
+            before = self._estimator.start(
+                sample.time_s, gyro, force, command, state.failed, takes_off=took_off, weak=state.weak
+            )
         plan, error = state.planning.plan or self._planner.healthy, state.loop.memory.tracking_error
         measurement = Measurement(
             time_s=sample.time_s,
@@ -304,10 +309,9 @@ class Companion:
         motor is declared the vehicle is no longer the one that the file describes."""
         if override is not None or not isinstance(estimating, EstimatorState):
             return self._fit.paused(state.fit)
-        decided = estimating.decision
-        doubtful = decided.among or decided.more
-        if True in state.failed.tolist() or state.either or doubtful:
-            return self._fit.paused(state.fit)
+        decided, lost = estimating.decision, True in state.failed.tolist() or bool(state.either)
+        if lost or decided.among or decided.more:
+            return self._fit.paused(state.fit, anew=lost)
         return self._fit.step(state.fit, estimating.residual)
 
     @staticmethod
@@ -362,6 +366,7 @@ class Companion:
             held_back=((), -math.inf),
             failed=read_only(np.zeros(self.vehicle.motors, bool)),
             either=(),
+            weak=partial_loss.NOTHING,
             planning=self._planner.forgotten(state.planning),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )

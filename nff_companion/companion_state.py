@@ -17,11 +17,13 @@ from nff_companion.allocation.planner import PlannerState
 from nff_companion.condition import Mode, Reason, Statement, read_only
 from nff_companion.control.law import Knowledge
 from nff_companion.control.override import OverrideState
+from nff_companion.core import partial_loss
 from nff_companion.core.decision import Event
 from nff_companion.core.estimate import Estimate, EstimatorState
 from nff_companion.core.fit import NOTHING, Fit, FitVerdict
 from nff_companion.core.fit_monitor import FitState
 from nff_companion.core.flight_phase import FlightPhaseState
+from nff_companion.core.partial_loss import PartialLossState
 from nff_companion.core.rotor_speed import RotorSpeedState
 
 
@@ -90,6 +92,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     adapted: Any = None  # of research
     fit: FitState
     confirmed: bool  # the airframe file is the vehicle's own, by somebody's word
+    weak: PartialLossState = partial_loss.NOTHING  # which motor has lost a part of its thrust
     held_back: tuple[tuple[int, ...], float] = ((), -math.inf)  # motors that would have been declared, and when last
     last_s: float | None = None  # the last good sample; None: the next one begins anew
     good_since_s: float | None = None
@@ -119,7 +122,8 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
             return True
         weighed = isinstance(self.estimate, EstimatorState) and not self.estimate.decision.quiet
-        return not (weighed or self.held_back[0] or True in self.last.degraded.tolist())
+        said = self.weak.told or self.fit.answers.told >= 0
+        return not (weighed or said or self.held_back[0] or True in self.last.degraded.tolist())
 
     @property
     def doubt(self) -> Statement | None:

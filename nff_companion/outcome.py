@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from nff_companion.companion_state import CompanionState, Output
 from nff_companion.condition import Condition, Mode, Reason, Scalar, Statement, first, read_only
+from nff_companion.core import partial_loss
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.mates import HALF
 
@@ -70,6 +71,7 @@ class Outcome:
         """Of a step; without a sample (``time_s`` None) it bears the time of the last one. ``override``: motor outputs
         (m,) that answered the sample."""
         mode, planning, failed = acting(state, condition), state.planning, state.failed
+        weak = state.weak if state.trusted else partial_loss.NOTHING
         if mode == Mode.OVERRIDE and override is None:
             mode = Mode.ALLOCATE
         if estimate is not None:
@@ -104,14 +106,21 @@ class Outcome:
             either=tuple(motor + 1 for motor in state.either),
             among=() if estimate is None else tuple(tuple(i + 1 for i in motors) for motors in estimate.among),
             more=() if estimate is None else tuple(motor + 1 for motor in estimate.more),
-            weak=() if estimate is None else tuple(motor + 1 for motor in estimate.weak),
-            weak_left=1.0 if estimate is None else estimate.weak_left,
-            unresponsive=(state.fit.answers.told + 1,) if state.trusted and state.fit.answers.told >= 0 else (),
+            weak=tuple(motor + 1 for motor in weak.told),
+            weak_left=1.0 - weak.told_loss,
+            unresponsive=self._unresponsive(state),
             probing=planning.probing and (mode == Mode.OVERRIDE or (mode == Mode.ALLOCATE and condition.takes_matrix)),
             fit=state.fit.fit,
             trusted=state.trusted,
             notes=notes,
         )
+
+    @staticmethod
+    def _unresponsive(state: CompanionState) -> tuple[int, ...]:
+        """The motor (from 1) that does not answer: none that is known to have lost a part, of which half comes."""
+        told, held = state.fit.answers.told, state.planning.partial.held
+        known = told in state.weak.told or (told >= 0 and held[told] < 1.0)
+        return (told + 1,) if told >= 0 and state.trusted and not known else ()
 
 
 def _shut(array: NDArray[Scalar]) -> NDArray[Scalar]:

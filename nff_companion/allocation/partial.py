@@ -57,10 +57,6 @@ class Partial:
         o, eta = self._tuning, estimate.effectiveness
         theirs = estimate.failed.copy()  # of those that are declared something else is done
         theirs[list(estimate.either)] = True
-        if estimate.weak:  # then it is no other one
-            others = np.ones_like(theirs)
-            others[list(estimate.weak)] = False
-            theirs |= others
         loss, held = (eta < o.shape_full_at) & ~theirs, state.held < 1.0
         if not (loss.any() or held.any() or np.isfinite(state.low_since_s).any()):
             return state
@@ -68,6 +64,10 @@ class Partial:
             state = replace(state, low_since_s=np.full(len(eta), np.nan), low_s=np.where(held, time_s, -np.inf))
         # Several at once have look-alikes: nothing more is done on a guess.
         known = loss & (estimate.deviation < o.deviation_max) & (int(loss.sum()) == 1)
+        if estimate.weak_shows:  # then it is no other one that begins
+            others = np.ones_like(held)
+            others[list(estimate.weak)] = False
+            known &= held | ~others
         low_since = np.where(known & (trusted | held), np.fmin(state.low_since_s, time_s), np.nan)
         low = np.where(loss, time_s, state.low_s)
         changed = np.where(np.isnan(state.changed_s), time_s, state.changed_s)

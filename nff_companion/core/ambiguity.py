@@ -18,13 +18,12 @@ Motors = tuple[int, ...]
 @dataclass(frozen=True, slots=True)
 class Among:
     """Sets of motors (indices from 0), the best first; since when one of them has been believed, and when last.
-    ``told``: for long enough to be said. ``refuted``: since then none of them has, and what looks like it is learnt."""
+    ``told``: for long enough to be said."""
 
     sets: tuple[Motors, ...]
     since_s: float
     seen_s: float
     told: bool = False
-    refuted: bool = False
 
 
 def needed(improvement: float, tuning: DecisionTuning) -> float:
@@ -39,10 +38,7 @@ def followed(before: Among | None, time_s: float, alike: tuple[Motors, ...], tun
         return before if before is not None and time_s - before.seen_s < tuning.among_hold_s else None
     if before is None:
         return Among(sets=alike, since_s=time_s, seen_s=time_s)
-    over = before.refuted and time_s - before.since_s >= tuning.among_refuted_s
-    if (before.told or before.refuted) and not over and set(alike) <= set(before.sets):
+    if before.told and set(alike) <= set(before.sets):
         return replace(before, seen_s=time_s)  # the sets that were said stay while they hold
-    if before.refuted:
-        return Among(sets=alike, since_s=time_s, seen_s=time_s)
     told = before.told or time_s - before.since_s >= tuning.among_after_s - 1e-9
     return Among(sets=alike, since_s=before.since_s, seen_s=time_s, told=told)

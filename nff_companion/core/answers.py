@@ -58,7 +58,10 @@ class Answers:
         keep = float(np.exp(-seconds / self._tuning.answers_memory_s))
         sums = keep * state.sums + band.T.dot(band)
         state = replace(state, sums=sums, seconds=keep * state.seconds + seconds)
-        motor = self._silent(state)
+        try:
+            motor = self._silent(state)
+        except np.linalg.LinAlgError:  # nothing that a vehicle does
+            return self.start()
         alike = state.alike + 1 if motor == state.motor else 1
         told = motor if alike >= self._tuning.answers_alike else state.told
         return replace(state, motor=motor, alike=alike, told=told)

@@ -136,8 +136,6 @@ class Decision:
         stands = state.among is not None and time_s - state.among.since_s >= self.tuning.among_size_s
         if stands and len(best.motors) > 1 and not best.moved:
             return []  # by now its size is the model's error: what moves tells which it is
-        if state.among is not None and state.among.refuted and best.motors in state.among.sets:
-            return []
         if best.motors == state.candidate:
             new.since_s = state.since_s
         wait = self.tuning.confirm_s if len(best.motors) == 1 else self.tuning.confirm_ambiguous_s
@@ -185,9 +183,10 @@ class Decision:
     def _pulls_more(self, state: DecisionState, time_s: float, best: Hypothesis | None) -> Among | None:
         """A motor that pulls more than it is asked to, or one of two above each other, while that explains best. What
         it makes of the flight looks like losses of others then, and later like another that pulls more: the first
-        stays."""
+        stays. Where one of two is lost it is not asked: one of them that turns the wrong way takes more than it gives,
+        which those across seem to add."""
         found: tuple[tuple[int, ...], ...] = ()
-        if best is not None and best.more >= 0:
+        if best is not None and best.more >= 0 and not state.either:
             place = () if self._mates is None else self._mates.place((best.more,))
             found = (place or (best.more,),)
             if state.more is not None and state.more.told:
@@ -198,12 +197,6 @@ class Decision:
         """Sets of motors of which one is lost, where it cannot be told which: one of them would be declared, did it
         lead."""
         o, alike = self.tuning, () if best is None else best.alike
-        among = state.among
-        if best is not None and best.unmoved:
-            sets = among.sets if among is not None and among.told else (best.motors,)
-            return Among(sets, since_s=time_s, seen_s=time_s, refuted=True)
-        if best is not None and among is not None and among.refuted and best.motors in among.sets:
-            return followed(among, time_s, among.sets, o)
         lost = best is not None and best.explained >= o.explained_min
         room = self.failed_max - sum(state.failed.tolist())
         if not lost or not any(len(motors) <= room and min(loss) >= o.loss_sudden for motors, loss in alike):

@@ -37,7 +37,8 @@ class EstimatorState:
     decision: DecisionState
     started_s: float
     fast_until_s: float  # the disturbance is learnt quickly
-    begin_until_s: float  # what is off is off by the file, and no failure
+    begin_until_s: float  # after a take-off: what is off is off by the file, and no failure
+    anew_until_s: float  # the same, after losses that nothing answered to
     quiet_since_s: float | None  # y has been small, in that time
     suspicious_since_s: float | None
     solved_s: float
@@ -69,6 +70,7 @@ class Estimate:
     among: tuple[tuple[int, ...], ...] = ()  # sets of indices, of which one has failed: which is not known
     weak: tuple[int, ...] = ()  # index of the motor that has lost a part; of two above each other: one of them
     weak_left: float = 1.0  # effectiveness that it has left
+    weak_shows: bool = False  # it does at this moment, and has not been learnt
     more: tuple[int, ...] = ()  # index of the motor that pulls more than asked; of two above each other: one of them
     balance: NDArray[np.float64] | None = None  # (n,) shares of core/balance.py; None: a peer that learns none
     gain: NDArray[np.float64] | None = None  # (n,) factors of the rows; None: the file's
@@ -85,6 +87,7 @@ class Weighed:
     best: Hypothesis | None = None
     direct: Hypothesis | None = None
     evidence: Evidence | None = None
+    refuted: bool = False  # the residual does not move with what explains it: no motor is lost
     again: float = 0.0  # nats by which a motor that has lost a part gives more again
 
 

@@ -78,9 +78,11 @@ class Estimator:
         failed: NDArray[np.bool_] | None = None,
         *,
         takes_off: bool = False,
+        weak: PartialLossState = partial_loss.NOTHING,
     ) -> EstimatorState:
         """State at the first sample of a flight, or after a gap of one; ``failed`` (m,) bool are declarations taken
-        over. ``takes_off``: it has just left the ground, so that what is off now is off by the file."""
+        over, ``weak`` what was told of a part lost. ``takes_off``: it has just left the ground, so that what is off now
+        is off by the file."""
         m = self.vehicle.motors
         decision = DecisionState.start(m)
         if failed is not None:
@@ -98,11 +100,13 @@ class Estimator:
             started_s=time_s,
             fast_until_s=time_s + self.tuning.estimator.learn_fast_s,
             begin_until_s=time_s + self.tuning.estimator.begin_s if takes_off else -math.inf,
+            anew_until_s=-math.inf,
             quiet_since_s=None,
             suspicious_since_s=None,
             solved_s=-math.inf,
             effectiveness=np.ones(m),
             deviation=np.ones(m),
+            partial_loss=weak,
         )
 
     def step(self, state: EstimatorState, measurement: Measurement) -> tuple[EstimatorState, Estimate]:
@@ -145,10 +149,13 @@ class Estimator:
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
         weak = self._weak(state, time_s, decision, weighed, load, settled=time_s >= fast_until_s)
         among = decision.among if decision.among is not None and decision.among.told else None
-        if decision.among is not None and decision.among.refuted and not decision.candidate:
-            # No motor is lost by how the residual moves: what explained it is the file's, and quickly learnt.
-            rate, information = self.tuning.estimator.learn_fast_rate, sparse.Information.empty(self.vehicle.motors)
-            effectiveness = np.where(decision.failed, effectiveness, 1.0)
+        anew_until_s, onset = state.anew_until_s, decided.onset
+        if weighed.refuted:
+            anew_until_s = time_s + self.tuning.estimator.begin_s
+        if time_s < anew_until_s:
+            # No motor is lost by how the residual moves: what explained it is the file's, and learnt at once.
+            rate, information = self.tuning.estimator.begin_rate, sparse.Information.empty(self.vehicle.motors)
+            effectiveness, onset = np.where(decision.failed, effectiveness, 1.0), self._onset.start()
         more = decision.more.sets[0] if decision.more is not None and decision.more.told else ()
         if among is not None or more:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
@@ -164,12 +171,13 @@ class Estimator:
             balance=balance,
             curve=curve,
             information=information,
-            onset=decided.onset,
+            onset=onset,
             steady=steady,
             decision=decision,
             started_s=state.started_s,
             fast_until_s=fast_until_s,
             begin_until_s=state.begin_until_s,
+            anew_until_s=anew_until_s,
             quiet_since_s=quiet_since_s,
             suspicious_since_s=suspicious_since_s,
             solved_s=solved_s,
@@ -203,6 +211,7 @@ class Estimator:
             settled=time_s >= fast_until_s,
             weak=weak.told,
             weak_left=1.0 - weak.told_loss,
+            weak_shows=bool(weak.told) and weak.motors == weak.told,
             balance=state.balance.share,
             gain=state.balance.gain,
             bend=state.curve.bend,
@@ -311,7 +320,7 @@ class Estimator:
             not self._balance.due(balance, time_s)
             or True in decision.failed.tolist()
             or decision.either
-            or (decision.among and not decision.among.refuted)
+            or decision.among
             or decision.more
         ):
             return balance
@@ -357,12 +366,8 @@ class Estimator:
     ) -> PartialLossState:
         """The motor that has lost a part; ``settled``: what the file has wrong in steady flight has been learnt."""
         best, weak = weighed.best, state.partial_loss
-        if (
-            decision.among
-            and decision.among.refuted
-            and set(weak.told) & {i for one in decision.among.sets for i in one}
-        ):
-            return partial_loss.NOTHING
+        if time_s < state.anew_until_s or weighed.refuted:
+            return weak
         if True in decision.failed.tolist() or decision.either or decision.among or decision.more:
             return partial_loss.beside(weak, decision.failed, decision.either)
         if not settled or (best is None and not weak.motors and not weak.told):
@@ -388,14 +393,7 @@ class Estimator:
 
 def _ordered(state: EstimatorState) -> EstimatorState:
     """After an order has changed what is declared: what was being told apart, or looked at again, was of before."""
-    return replace(
-        state,
-        decision=replace(state.decision, among=None),
-        evidence=None,
-        second_look=None,
-        slid_load=None,
-        partial_loss=partial_loss.NOTHING,
-    )
+    return replace(state, decision=replace(state.decision, among=None), evidence=None, second_look=None, slid_load=None)
 
 
 def _shut(estimate: Estimate) -> None:

@@ -9,7 +9,7 @@ the windows of the onsets end after a fifth of a second. Pure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -90,10 +90,25 @@ class Evidence:
         """With one sample, as ``Sums.grown``; a block lasts ``block_s``."""
         whole, block = self.whole.grown(lost, residual, weight), self.block.grown(lost, residual, weight)
         if time_s - self.begun_s < block_s:
-            return Evidence(whole, block, self.begun_s, self.matrix, self.vector)
+            return replace(self, whole=whole, block=block)
         matrix, vector = block.changes()
         empty = Sums.none(*lost.shape)
         return Evidence(whole, empty, time_s, self.matrix + matrix, self.vector + vector)
+
+    def over(self, residual: NDArray[np.float64], variance: NDArray[np.float64], deviations: float) -> bool:
+        """Whether something has happened since: the ``residual`` (n,) is no longer the mean of what was seen, by more
+        than so many ``deviations`` and half of that mean, which is what motors that move make of it."""
+        if not self.whole.weight.any():
+            return False
+        mean = self.whole.residual / np.maximum(self.whole.weight, 1e-300)
+        beyond = (np.abs(residual - mean) - 0.5 * np.abs(mean)) / np.sqrt(variance)
+        return bool((beyond > deviations).any())
+
+    def before(self, time_s: float, variance: NDArray[np.float64], deviations: float, block_s: float) -> bool:
+        """The same of the mean of a block that ends now."""
+        if time_s - self.begun_s < block_s or not self.block.weight.any():
+            return False
+        return self.over(self.block.residual / np.maximum(self.block.weight, 1e-300), variance, deviations)
 
     def told(self, sets: tuple[tuple[int, ...], ...], gamma: float) -> Told:
         """The one of ``sets`` (indices, one or two) by which the residual moves best."""

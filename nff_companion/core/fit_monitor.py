@@ -85,11 +85,13 @@ class FitMonitor:
         sums = np.zeros((width + _AXES, width + _AXES))
         return FitState(sums=sums, total=np.zeros(width), answers=self._answers.start())
 
-    def paused(self, state: FitState) -> FitState:
-        """After a break the filters start anew; what was gathered stays, but for how each motor answers."""
+    def paused(self, state: FitState, *, anew: bool = False) -> FitState:
+        """After a break the filters start anew; what was gathered stays. ``anew``: but for how each motor answers."""
+        if anew and state.answers.seconds > 0.0:
+            state = replace(state, answers=self._answers.start())
         if state.fast is None and not state.looks:
             return state
-        return replace(state, fast=None, slow=None, looks=(), wait=0, answers=self._answers.start())
+        return replace(state, fast=None, slow=None, looks=(), wait=0)
 
     def step(self, state: FitState, shown: ResidualState) -> FitState:
         """One sample of a flight in which nothing is declared."""

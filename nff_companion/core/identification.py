@@ -68,13 +68,15 @@ class Identification:
     def weighed(self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement) -> Weighed:
         """The hypotheses of a sample; ``onset`` with it."""
         found = self._weigh(state, seen, onset, measurement)
-        if measurement.time_s < state.begin_until_s:
-            found = Weighed()
+        if measurement.time_s < max(state.begin_until_s, state.anew_until_s):
+            return Weighed()
         best = found.best
         joined = state.begin_until_s < state.started_s and measurement.time_s < state.fast_until_s
-        if joined and best is not None and len(best.motors) > 1:
-            # Of a flight that is under way nothing is learnt yet, and the file may have as much wrong: two are a set,
-            # told by what moves.
+        since_s = measurement.time_s if state.suspicious_since_s is None else state.suspicious_since_s
+        crept = measurement.time_s - since_s > self._tuning.decision.pair_sudden_s
+        if (joined or crept) and best is not None and len(best.motors) > 1 and not best.overruled:
+            # Of a flight that is under way nothing is learnt yet, and two motors do not stop little by little: the file
+            # may have as much wrong. Two are a set then, told by what moves.
             alike = best.alike or ((best.motors, best.loss),)
             found = replace(found, best=replace(best, margin=0.0, beside=0.0, alike=alike))
         found = self._longer(state, seen, found, measurement.time_s)
@@ -95,6 +97,8 @@ class Identification:
         """What is declared; ``effectiveness`` and ``deviation`` (m,) of the sparse program, ``steady`` (m,) the slow
         part of w with the sample."""
         time_s, best = measurement.time_s, weighed.best
+        if weighed.refuted:
+            return Decided(replace(state.decision, among=None, candidate=()), [], self.onset.start(), None)
         turned = None if best is None else self.onset.worked(onset)
         decision, events = self._decision.step(
             state.decision,
@@ -163,7 +167,10 @@ class Identification:
             since_s is None or time_s - since_s < o.among_size_s or True in state.decision.failed.tolist()
         ):
             return weighed
-        evidence = state.evidence or Evidence.none(self._axes, self._motors, time_s)
+        evidence, limit = state.evidence, self._tuning.estimator.suspicious
+        if evidence is None or evidence.before(time_s, seen.variance, limit, o.among_block_s):
+            evidence = Evidence.none(self._axes, self._motors, time_s)  # what was seen speaks of before
+        happens = evidence.over(seen.residual, seen.variance, limit)
         w, matrix = seen.filtered.thrust_shown, seen.effectiveness_matrix
         each = matrix * (w - state.steady)
         doubt = self._tuning.onset.single_error_share**2 * np.add.reduce(each * each, axis=1)
@@ -177,8 +184,8 @@ class Identification:
         moved = replace(moved, more=-1, moved=True, alike=())
         if told and self._decision.convincing(moved):
             return replace(weighed, best=moved, evidence=evidence)
-        if found.improvement < -o.among_refuted_min:
-            return replace(weighed, best=replace(best, unmoved=True))  # what comes then is seen afresh
+        if found.improvement < -o.among_refuted_min and not happens:
+            return Weighed(refuted=True)
         return replace(weighed, evidence=evidence)
 
     def _placed(self, state: EstimatorState, seen: Seen, best: Hypothesis | None) -> Hypothesis | None:

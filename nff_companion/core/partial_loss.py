@@ -3,8 +3,8 @@
 One motor explains the last moments better than none, any other and any pair, by a loss too small to be declared. A load
 that slid turns the vehicle as well; it takes no lift, so the thrust axis must speak for the loss (core/slid_load.py).
 What is told stays told: within seconds it is learnt with all else that is steady, and shows no longer. It ends when
-the motor gives more again (what was learnt shows the other way round, or what was not ends at once), when it is
-declared, or another one is told. Nothing is done about it here. Pure.
+the motor gives more again (what was learnt shows the other way round, or what was not ends at once and nothing else
+comes), when it is declared, or another one is told. Pure.
 """
 
 from __future__ import annotations
@@ -78,10 +78,11 @@ def followed(
     rival = 0.0 if best is None else best.improvement
     if state.told:
         lost, some = float((1.0 - effectiveness[list(state.told)]).sum()), tuning.partial_again_share * state.told_loss
-        at_once = lost < some and time_s - state.shown_s < tuning.partial_again_s
+        quiet = best is None and (load is None or not load.slid)
+        at_once = quiet and lost < some and time_s - state.shown_s < tuning.partial_again_s
         if at_once or (again >= tuning.improvement_min and again - rival >= needed(again, tuning)):
             return NOTHING
-        if lost > 2.0 * some:
+        if best is not None and (place or best.motors) == state.told and sum(best.loss) > 2.0 * some:
             state = replace(state, shown_s=time_s)
     if best is None or not shows(best, place, load, tuning):
         return state if not state.motors else replace(state, motors=(), improvement=0.0)

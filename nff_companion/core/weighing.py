@@ -33,7 +33,6 @@ class Hypothesis:
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
     more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
     moved: bool = False  # told from others by how the residual moves (core/evidence.py)
-    unmoved: bool = False  # of a set of which none is lost: the residual does not move with any of it
     shared: bool = False  # one motor, of all the pairs that explain well
     # What is no loss explains better: a motor that pulls more, or one believed lost that works again.
     overruled: bool = False

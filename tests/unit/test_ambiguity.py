@@ -144,34 +144,3 @@ def test_a_motor_that_is_lost_whatever_else_is_named_alone(octo: Vehicle, other:
     assert best.shared
     _, events = stepped(octo, lost, 0.2)
     assert [event.motor for event in events] == [1]
-
-
-def test_a_set_that_flight_refutes_is_not_said_nor_declared_until_it_is_weighed_anew() -> None:
-    decision = Decision(8, 4, TUNING)
-    state = DecisionState(failed=np.zeros(8, bool), among=Among(OPPOSITE, 0.0, 2.0, told=True))
-    leads = Hypothesis((0, 1), (0.9, 0.9), 200.0, 60.0, 0.95, 0.2)
-    state, events = decision.step(state, 2.0, replace_hypothesis(leads, unmoved=True), *QUIET)
-    for k in range(1, round(TUNING.among_refuted_s / 0.005)):
-        assert events == []
-        assert state.among is not None
-        assert (state.among.refuted, state.among.told) == (True, False)
-        state, events = decision.step(state, 2.0 + 0.005 * k, leads, *QUIET)
-    for k in range(1, 20):
-        state, events = decision.step(state, 2.0 + TUNING.among_refuted_s + 0.005 * k, leads, *QUIET)
-        if events:
-            break
-    assert [event.motor for event in events] == [1, 2]
-
-
-def test_another_motor_is_declared_while_a_set_is_refuted() -> None:
-    decision = Decision(8, 4, TUNING)
-    refuted = Among(OPPOSITE, 0.0, 0.0, refuted=True)
-    for motors in ((3,), (2, 5)):
-        state, events = DecisionState(failed=np.zeros(8, bool), among=refuted), list[Event]()
-        found = Hypothesis(motors, (1.0,) * len(motors), 200.0, 60.0, 0.95, 0.2)
-        for k in range(1, 20):
-            state, new = decision.step(state, 0.005 * k, found, *QUIET)
-            events += new
-            if events:
-                break
-        assert [event.motor - 1 for event in events] == list(motors)

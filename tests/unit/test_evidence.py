@@ -106,3 +106,17 @@ def test_what_moved_needs_no_lead_that_grows_with_the_residual(moved: bool, conv
     assert Decision(8, 4, TUNING).convincing(found) == convincing
     less = Hypothesis((0, 1), (0.95, 0.95), 1000.0, TUNING.moved_margin_min - 1.0, 0.95, 0.2, moved=moved)
     assert not Decision(8, 4, TUNING).convincing(less)
+
+
+def test_what_was_seen_before_a_loss_does_not_speak_of_it(octo: Vehicle, rng: np.random.Generator) -> None:
+    before = flown(octo, rng, np.zeros(8), seconds=3.0)
+    pushed = np.array([-2.5, 7.0, 0.0, 0.0])
+    suspected = flown(octo, rng, np.zeros(8), seconds=3.0, off=pushed)
+    matrix = octo.acceleration_effectiveness * octo.hover
+    for motors in ((0, 1), (2, 5), (3, 4)):
+        loss = -matrix @ lost(*motors)
+        assert before.over(loss, DEVIATION**2, 3.0)
+        assert suspected.over(pushed + loss, DEVIATION**2, 3.0)
+    assert not before.over(rng.normal(0.0, 0.5 * DEVIATION), DEVIATION**2, 3.0)
+    assert not suspected.over(1.3 * pushed, DEVIATION**2, 3.0), "motors that move make as much of it"
+    assert not Evidence.none(4, 8, 0.0).over(pushed, DEVIATION**2, 3.0)

@@ -110,9 +110,6 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             " learnt. Of an octorotor that began to climb with a file guessed it was ahead by 80",
         ),
     ] = 10.0
-    among_refuted_s: Annotated[
-        float, span(0.1, 10.0, "s", "for which it is learnt; what still looks like them then is weighed anew")
-    ] = 2.0
     more_improvement_min: Annotated[
         float, span(8.0, 500.0, "nats", "over no failure, by which a motor is said to pull more than it is asked to")
     ] = 60.0
@@ -123,6 +120,10 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     pair_min: Annotated[
         float, span(1.0, 100.0, "nats", "that only a second motor brings: a pair explains more of anything")
     ] = 6.0
+    pair_sudden_s: Annotated[
+        float,
+        span(0.2, 60.0, "s", "of suspicion, after which two motors are told by what moves: a sagging battery took 7 s"),
+    ] = 1.0
     explained_min: Annotated[
         float, span(0.5, 0.99, "", "share of the residual's energy that is explained: the rest would be something else")
     ] = 0.70

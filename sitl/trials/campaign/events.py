@@ -15,6 +15,7 @@ _EVENT_STREAM = 12  # of a seed's generators
 _GUST_S, _GUST_M_S = (0.5, 3.0), (3.0, 8.0)
 _PAYLOAD = 0.05, 0.2  # of the mass
 _SHIFT = 0.05  # of the longest arm, that the centre of mass moves
+_SLIDE_S = 0.1, 0.5  # it takes: sliding 2 cm by a fifth of its weight, 0.14
 _SAG = 0.03, 0.12  # of the voltage
 _SLAM_M, _SLAMS, _SLAM_S = (5.0, 12.0), 6, (0.3, 0.9)  # sticks from stop to stop: so far, so often, for so long each
 _IMU = 0.01, 0.2  # deviations of the biases of one inertial unit from another's: rad/s, m/s^2
@@ -51,6 +52,7 @@ class Events:
     def __init__(self, flight: VirtualFlight, cases: list[Case]) -> None:
         self._flight, self._fleet = flight, flight.fleet
         self._slams: list[tuple[float, int, float, float]] = []  # when, vehicle, and where to (north, east)
+        self._slides: list[tuple[float, int, tuple[float, float, float], float]] = []  # as ``_slide`` takes them
         self._waiting = sorted(
             (case.at_s, vehicle) for vehicle, case in enumerate(cases) if case.event not in ("none", "gust")
         )
@@ -65,6 +67,18 @@ class Events:
             _, vehicle, north, east = self._slams.pop(0)
             self._fleet.autopilot.position.goal[vehicle, :2] += north, east
 
+        self._slides = [left for slide in self._slides if (left := self._slide(time_s, *slide)) is not None]
+
+    def _slide(
+        self, time_s: float, since_s: float, vehicle: int, far: tuple[float, float, float], done: float
+    ) -> tuple[float, int, tuple[float, float, float], float] | None:
+        """A load that slides from ``since_s`` on, ever faster: ``far`` forward, to the right, as shares of the arm, and
+        in how many seconds; ``done`` is the share of it so far. None: it has arrived."""
+        forward, right, lasts_s = far
+        now = min((time_s - since_s) / lasts_s, 1.0) ** 2
+        self._fleet.plant.shift_mass(vehicle, (now - done) * forward, (now - done) * right)
+        return (since_s, vehicle, far, now) if now < 1.0 else None
+
     def _happen(self, vehicle: int, case: Case) -> None:
         draw, plant, state = _draw(case), self._fleet.plant, self._fleet.state
         if case.event in ("drop", "hook"):
@@ -74,7 +88,8 @@ class Events:
             plant.mass_kg = mass
         elif case.event == "shift":
             angle, far = draw.uniform(0.0, 2.0 * math.pi), draw.uniform(0.3, 1.0) * _SHIFT
-            plant.shift_mass(vehicle, far * math.cos(angle), far * math.sin(angle))
+            where = far * math.cos(angle), far * math.sin(angle), draw.uniform(*_SLIDE_S)
+            self._slides.append((case.at_s, vehicle, where, 0.0))
         elif case.event == "sag":
             battery = state.battery.copy()
             battery[vehicle] -= draw.uniform(*_SAG)

@@ -24,6 +24,7 @@ from sitl.trials.virtual import TrialCompanion, TrialOptions, VirtualFlight, tem
 from sitl.uncertainty import LEVELS
 
 _FLAPS_S = 5.0
+_PARTS = ("partial", "ramp", "intermittent", "blade")  # faults of which a part lost is the truth
 NOT_IN_FULL = ("partial", "ramp", "intermittent", "stuck", "slow", "blade")  # of the kinds of fault
 
 
@@ -190,12 +191,12 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         elif not set(more) & set(case.motors):
             wrong = sorted({*wrong, motor})
     works: set[int] = set()  # said, and nothing is done about it
-    said = [((motor,), time_s) for motor, time_s in record.unresponsive[k].items()]
-    for motors, time_s in (*said, *record.weak[k].items()):
+    silent = [((motor,), time_s, ("stuck", "slow")) for motor, time_s in record.unresponsive[k].items()]
+    for motors, time_s, kinds in (*silent, *((*it, _PARTS) for it in record.weak[k].items())):
         its = set(motors) & set(case.motors)
         if not its or time_s < case.at_s:
             works |= set(motors)
-        elif case.fault in NOT_IN_FULL:
+        elif case.fault in kinds:
             right |= {motor: min(right.get(motor, math.inf), time_s) for motor in its}
     for motor, time_s in partly.items():
         if motor in case.motors and time_s >= case.at_s and case.fault in NOT_IN_FULL:

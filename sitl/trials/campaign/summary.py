@@ -33,7 +33,10 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
     missed, sets = len(unnamed), sum(in_sets(row) for row in unnamed)
     return {
         "flights": len(rows),
-        "right": sum(not row["wrong"] and (row["delay_s"] is not None or not row["motors"]) for row in rows),
+        "right": sum(
+            not (row["wrong"] or row["said_wrong"]) and (row["delay_s"] is not None or not row["motors"])
+            for row in rows
+        ),
         "wrong": wrong,  # flights in which a motor that works was declared
         "wrong_at_most": round(at_most(wrong, len(rows)), 6) if rows else None,
         "wrong_per_hour_at_most": round(rate_at_most(wrong, hours), 4),
