@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import pytest
 from nff_companion.autopilots import times
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core.estimate import Weighed
+from nff_companion.core.identification import Identification
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from sitl import airframe as plant_airframe
@@ -218,3 +221,30 @@ def test_a_motor_that_fails_while_no_telemetry_comes_is_no_error_of_the_file() -
     for k, companion in enumerate(flight.companions):
         assert [event.motor for _, event in companion.events] == [k + 1]
         assert companion.events[0][0] - end_s < 0.1
+
+
+@pytest.mark.parametrize("later_s", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("motors", [(3,), (1, 2)])
+def test_what_fails_soon_after_something_was_refuted_is_named(
+    motors: tuple[int, ...], later_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What looked like losses was the file's and is learnt at once; a loss that comes then is none of it."""
+    weighed, refuted_s = Identification.weighed, 3.0
+    done = list[float]()
+
+    def refuting(self: Identification, state: Any, seen: Any, onset: Any, measurement: Any) -> Weighed:
+        if measurement.time_s - 1.0 >= refuted_s and not done:
+            done.append(measurement.time_s)
+            return Weighed(refuted=True)
+        return weighed(self, state, seen, onset, measurement)
+
+    monkeypatch.setattr(Identification, "weighed", refuting)
+    faults = [Fault(vehicle=0, motor=motor, start_s=refuted_s + later_s) for motor in motors]
+    flight = started("octo-x", [1], faults, height_m=10.0)
+    fleet = flight.fleet
+    while fleet.time_s < refuted_s + later_s + 0.8:
+        flight.step()
+    named = {event.motor: time_s - refuted_s - later_s for time_s, event in flight.companions[0].events}
+    assert done
+    assert tuple(sorted(named)) == motors
+    assert max(named.values()) < (0.1 if len(motors) == 1 else 0.7)
