@@ -274,9 +274,9 @@ class Companion:
         if before is None:
             # After a gap, or a restart in the air, what is off may be a motor that failed meanwhile.
             took_off = not state.phase.flew and state.phase.ground_m is not None
-            before = self._estimator.start(
-                sample.time_s, gyro, force, command, state.failed, takes_off=took_off, weak=state.weak
-            )
+            before = self._estimator.start(sample.time_s, gyro, force, command, state.failed, takes_off=took_off)
+            if isinstance(before, EstimatorState):  # no peer's
+                before = dataclasses.replace(before, partial_loss=state.weak)
         plan, error = state.planning.plan or self._planner.healthy, state.loop.memory.tracking_error
         measurement = Measurement(
             time_s=sample.time_s,

@@ -78,11 +78,9 @@ class Estimator:
         failed: NDArray[np.bool_] | None = None,
         *,
         takes_off: bool = False,
-        weak: PartialLossState = partial_loss.NOTHING,
     ) -> EstimatorState:
         """State at the first sample of a flight, or after a gap of one; ``failed`` (m,) bool are declarations taken
-        over, ``weak`` what was told of a part lost. ``takes_off``: it has just left the ground, so that what is off now
-        is off by the file."""
+        over. ``takes_off``: it has just left the ground, so that what is off now is off by the file."""
         m = self.vehicle.motors
         decision = DecisionState.start(m)
         if failed is not None:
@@ -106,7 +104,6 @@ class Estimator:
             solved_s=-math.inf,
             effectiveness=np.ones(m),
             deviation=np.ones(m),
-            partial_loss=weak,
         )
 
     def step(self, state: EstimatorState, measurement: Measurement) -> tuple[EstimatorState, Estimate]:
