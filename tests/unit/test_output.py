@@ -87,7 +87,8 @@ def test_lines_carry_their_local_time_to_the_millisecond() -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+02:00 WARNING nff: motor 3 failed", line), line
 
 
-def test_what_found_no_room_is_counted_in_one_line_once_there_is_some() -> None:
+def test_what_found_no_room_is_counted_once_there_is_some() -> None:
+    """In one line; in another one what was dropped before the pipe was quite full."""
     reading, writing = full_pipe()
     body = 'for k in range(20000): log.warning("line %d", k)\nprint("done", flush=True)\nsys.stdin.read()'
     with script(body, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
@@ -109,10 +110,9 @@ def test_what_found_no_room_is_counted_in_one_line_once_there_is_some() -> None:
                 text += part
     os.close(reading)
     lines = text.decode().lstrip("x").splitlines()
-    (report,) = [line for line in lines if "dropped" in line]
-    found = re.search(r"(\d+) log lines", report)
-    assert found is not None
-    dropped = int(found.group(1))
+    reports = [re.search(r"(\d+) log lines", line) for line in lines if "dropped" in line]
+    assert 1 <= len(reports) <= 2
+    dropped = sum(int(found.group(1)) for found in reports if found is not None)
     assert dropped > 10000
     assert len([line for line in lines if "nff: line" in line]) == 20000 - dropped
 
