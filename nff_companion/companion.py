@@ -276,7 +276,7 @@ class Companion:
             took_off = not state.phase.flew and state.phase.ground_m is not None
             before = self._estimator.start(sample.time_s, gyro, force, command, state.failed, takes_off=took_off)
             if isinstance(before, EstimatorState):  # no peer's
-                before = dataclasses.replace(before, partial_loss=state.weak)
+                before = dataclasses.replace(before, partial_loss=partial_loss.carried(state.weak))
         plan, error = state.planning.plan or self._planner.healthy, state.loop.memory.tracking_error
         measurement = Measurement(
             time_s=sample.time_s,

@@ -81,6 +81,7 @@ class Reason(Enum):
     EITHER = (63, "reallocated: motor {} lost")
     EITHER_NO_YAW = (63, "reallocated: motor {} lost, yaw given up")
     AMONG = (63, "LAND: motors {} lost, not told which")
+    PERHAPS = (63, "LAND: motors {} may be lost")
     PROBING = (63, "motors {} lost: testing which")
     MORE = (63, "LAND: motor {} pulls more than asked")
     WEAK = (63, "motor {} has lost a part of its thrust")

@@ -89,7 +89,8 @@ def _undecided(output: Output) -> Statement | None:
     """What is believed of motors that nothing is done about."""
     if output.among:
         sets = " or ".join("+".join(map(str, motors)) for motors in output.among)
-        return Statement(Reason.PROBING if output.probing else Reason.AMONG, sets)
+        told = Reason.AMONG if len(output.among) > 1 else Reason.PERHAPS  # of one set: whether it is lost
+        return Statement(Reason.PROBING if output.probing else told, sets)
     if output.more:
         return Statement(Reason.MORE, " or ".join(map(str, output.more)))
     return Statement(Reason.UNRESPONSIVE, str(output.unresponsive[0])) if output.unresponsive else None

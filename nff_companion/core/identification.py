@@ -67,9 +67,9 @@ class Identification:
 
     def weighed(self, state: EstimatorState, seen: Seen, onset: OnsetState, measurement: Measurement) -> Weighed:
         """The hypotheses of a sample; ``onset`` with it."""
-        found = self._weigh(state, seen, onset, measurement)
         if measurement.time_s < max(state.begin_until_s, state.anew_until_s):
             return Weighed()
+        found = self._weigh(state, seen, onset, measurement)
         best = found.best
         joined = state.begin_until_s < state.started_s and measurement.time_s < state.fast_until_s
         since_s = measurement.time_s if state.suspicious_since_s is None else state.suspicious_since_s
@@ -101,14 +101,7 @@ class Identification:
             return Decided(replace(state.decision, among=None, candidate=()), [], self.onset.start(), None)
         turned = None if best is None else self.onset.worked(onset)
         decision, events = self._decision.step(
-            state.decision,
-            time_s,
-            best,
-            effectiveness,
-            deviation,
-            measurement.command,
-            weighed.direct,
-            turned,
+            state.decision, time_s, best, effectiveness, deviation, measurement.command, weighed.direct, turned
         )
         look = state.second_look
         if look is not None and not events and decision.either == state.decision.either:

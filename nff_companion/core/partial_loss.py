@@ -37,6 +37,11 @@ class PartialLossState:
 NOTHING = PartialLossState()
 
 
+def carried(state: PartialLossState) -> PartialLossState:
+    """After a gap in the telemetry: what was told stays, times do not hold."""
+    return PartialLossState(told=state.told, told_loss=state.told_loss, shown_s=-np.inf)
+
+
 def beside(state: PartialLossState, failed: NDArray[np.bool_], either: tuple[int, ...]) -> PartialLossState:
     """While others are lost, or it is not told which: nothing more is found. ``failed`` (m,) bool and one of ``either``
     are lost in full."""

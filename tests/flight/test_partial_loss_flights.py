@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numpy as np
 import pytest
 
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
+from nff_companion.core.answers import Answers
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
@@ -14,12 +19,17 @@ from sitl.trials.virtual import TrialOptions, VirtualFlight
 FROM_S, UNTIL_S = 4.0, 9.0
 
 
-@pytest.mark.parametrize(("name", "motors"), [("octo-x", (3,)), ("octo-plus", (3,)), ("coax-x8", (3, 8))])
-def test_a_part_of_a_motor_is_said_while_it_is_lost(name: str, motors: tuple[int, ...]) -> None:
-    fault = Fault(vehicle=0, motor=3, kind="partial", effectiveness=0.7, start_s=FROM_S, until_s=UNTIL_S)
+def flown_from(name: str, until_s: float) -> VirtualFlight:
+    fault = Fault(vehicle=0, motor=3, kind="partial", effectiveness=0.7, start_s=FROM_S, until_s=until_s)
     options = FleetOptions(seeds=[1], height_m=10.0, wind_m_s=3.0, turbulence_m_s=0.75, model_error=0.05)
     fleet = Fleet(airframe.load(vehicles.path_of(name)), options, [fault])
-    flight = VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE)}, airframe=name)
+    return VirtualFlight(fleet, {0: TrialOptions(mode=Mode.ALLOCATE)}, airframe=name)
+
+
+@pytest.mark.parametrize(("name", "motors"), [("octo-x", (3,)), ("octo-plus", (3,)), ("coax-x8", (3, 8))])
+def test_a_part_of_a_motor_is_said_while_it_is_lost(name: str, motors: tuple[int, ...]) -> None:
+    flight = flown_from(name, UNTIL_S)
+    fleet = flight.fleet
     companion, changes, said = flight.companions[0], list[tuple[float, tuple[int, ...]]](), set[Reason]()
     while fleet.time_s < UNTIL_S + 2.0:
         flight.step()
@@ -36,3 +46,25 @@ def test_a_part_of_a_motor_is_said_while_it_is_lost(name: str, motors: tuple[int
     assert 0.0 < changes[1][0] - UNTIL_S < 0.6
     assert said <= {Reason.WEAK, Reason.PARTIAL, Reason.TELLING}
     assert companion.events == []
+
+
+def test_it_stays_said_when_the_telemetry_stops_and_a_solver_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until the vehicle works again: what is learnt after a gap hides the loss, but does not end it."""
+    flight = flown_from("octo-x", math.inf)
+    companion, step = flight.companions[0], Answers.lost
+
+    def failing(*_: Any) -> Any:
+        raise np.linalg.LinAlgError("singular")
+
+    while flight.fleet.time_s < 10.0:
+        flight.step()
+        now_s = flight.fleet.time_s
+        if 5.5 < now_s < 6.0:
+            companion.down.receive(math.inf)  # lost
+        monkeypatch.setattr(Answers, "lost", failing if 7.0 < now_s < 9.0 else step)
+        if now_s > 5.0:
+            assert companion.output.weak == (3,)
+            assert companion.output.weak_left == pytest.approx(0.7, abs=0.05)
+    assert companion.output.mode == Mode.ALLOCATE
+    assert companion.events == []
+    assert not flight.fleet.state.crashed.any()

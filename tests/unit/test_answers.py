@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -40,12 +42,12 @@ def looks(
 
 
 def flown(
-    airframe: Vehicle, rng: np.random.Generator, answers: NDArray[np.float64], seconds: int = 12, **off: object
+    airframe: Vehicle, rng: np.random.Generator, answers: NDArray[np.float64], seconds: int = 12, **off: Any
 ) -> AnswersState:
     monitor = Answers(airframe.acceleration_effectiveness, FIRST, TUNING)
     state = monitor.start()
     for _ in range(seconds):
-        state = monitor.step(state, looks(airframe, rng, answers, **off), LOOK_S)  # type: ignore[arg-type]
+        state = monitor.step(state, looks(airframe, rng, answers, **off), LOOK_S)
     return state
 
 

@@ -85,6 +85,8 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     assert (said.reason, said.text) == (Reason.AMONG, "LAND: motors 1+2 or 7+8 lost, not told which")
     assert len(said.text.encode()) <= 45  # what a pilot's screen takes at once, behind "NFF: "
     assert verdict(output, condition, Mode.OBSERVE, FLOWN, None) == said
+    one = verdict(wanting(among=((1, 2),)), condition, Mode.ALLOCATE, FLOWN, None)
+    assert (one.reason, one.text) == (Reason.PERHAPS, "LAND: motors 1+2 may be lost")
     assert verdict(wanting(more=(3,)), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.MORE
     silent = verdict(wanting(unresponsive=(3,)), condition, Mode.ALLOCATE, FLOWN, None)
     assert (silent.reason, silent.text) == (Reason.UNRESPONSIVE, "LAND: motor 3 does not answer")
@@ -152,6 +154,7 @@ def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, 
         (Reason.EITHER, dialect.MAV_SEVERITY_CRITICAL, "lost"),
         (Reason.EITHER_NO_YAW, dialect.MAV_SEVERITY_CRITICAL, "lost"),
         (Reason.AMONG, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
+        (Reason.PERHAPS, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.MORE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.UNRESPONSIVE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.WEAK, dialect.MAV_SEVERITY_WARNING, "part of its thrust"),
@@ -181,7 +184,8 @@ def test_whatever_is_believed_of_motors_or_done_about_them_reaches_the_pilot(rea
 
 
 @pytest.mark.parametrize(
-    "reason", [Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.WEAK, Reason.EITHER, Reason.PARTIAL]
+    "reason",
+    [Reason.AMONG, Reason.PERHAPS, Reason.MORE, Reason.UNRESPONSIVE, Reason.WEAK, Reason.EITHER, Reason.PARTIAL],
 )
 def test_other_motors_are_news(reason: Reason) -> None:
     announcer = Announcer()
@@ -191,6 +195,6 @@ def test_other_motors_are_news(reason: Reason) -> None:
 
 
 def test_that_one_should_land_is_not_cut_off() -> None:
-    for reason in (Reason.AMONG, Reason.MORE, Reason.UNRESPONSIVE, Reason.NO_LIFT):
+    for reason in (Reason.AMONG, Reason.PERHAPS, Reason.MORE, Reason.UNRESPONSIVE, Reason.NO_LIFT):
         (text,) = Announcer().verdict(Statement(reason, "10+12 or 14+16 or 11+13 or 15+17"), 10.0)
         assert "LAND" in str(text.text)
