@@ -22,6 +22,8 @@ _SAID = {
     Reason.MORE: _CRITICAL,
     Reason.UNRESPONSIVE: _CRITICAL,
     Reason.WEAK: _WARNING,
+    Reason.WORN: _WARNING,
+    Reason.WORN_OR_LOAD: _WARNING,
     Reason.PARTIAL: _WARNING,
     Reason.PARTIAL_NO_YAW: _WARNING,
     Reason.NO_LIFT: _CRITICAL,
@@ -46,6 +48,8 @@ _OF_MOTORS = {
     Reason.MORE,
     Reason.UNRESPONSIVE,
     Reason.WEAK,
+    Reason.WORN,
+    Reason.WORN_OR_LOAD,
     Reason.PARTIAL,
     Reason.PARTIAL_NO_YAW,
 }

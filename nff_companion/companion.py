@@ -32,6 +32,7 @@ from nff_companion.core.rotor_speed import RotorSpeedState, RotorSpeedWatch
 from nff_companion.core.sample import Sample
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
+from nff_companion.core.wear import Wear, WearState
 from nff_companion.errors import SolverError
 from nff_companion.outcome import Outcome, acting
 
@@ -70,6 +71,7 @@ class Companion:
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
         self._fit = FitMonitor(vehicle, self._dt_s, o.fit)
+        self._wear = Wear(vehicle, o.wear)
         self._nothing = Knowledge.none(vehicle.axes)
         self._outcome = Outcome(vehicle.motors, vehicle.axes)
 
@@ -105,6 +107,7 @@ class Companion:
             knowledge=self._nothing,
             adapted=None if self._adaptation is None else self._adaptation.start(),
             fit=self._fit.start(),
+            wear=self._wear.start(),
             confirmed=self.confirmed,
         )
 
@@ -254,6 +257,7 @@ class Companion:
             good_since_s=good_since,
             fit=fit,
             weak=weak,
+            wear=self._worn(state, estimating, estimate, gap),
             estimate=estimating,
             failed=failed,
             either=estimate.either,
@@ -314,6 +318,17 @@ class Companion:
             return self._fit.paused(state.fit, anew=lost)
         return self._fit.step(state.fit, estimating.residual)
 
+    def _worn(self, state: CompanionState, estimating: EstimatorState, estimate: Estimate, gap_s: float) -> WearState:
+        """What the sample says of motors that give less than before, of a vehicle that is whole."""
+        if not isinstance(estimating, EstimatorState) or not self.parts.identify:
+            return state.wear
+        decided = estimating.decision
+        if True in estimate.failed.tolist() or estimate.either:
+            return self._wear.start()
+        if not estimate.settled or decided.among or decided.more:
+            return self._wear.paused(state.wear)
+        return self._wear.step(state.wear, estimating.residual, gap_s)
+
     @staticmethod
     def _held_back(state: CompanionState, estimate: Estimate, time_s: float) -> tuple[CompanionState, Estimate]:
         """Nothing is declared by a file that may be another vehicle's; what would have been is remembered."""
@@ -353,6 +368,7 @@ class Companion:
             last_s=None,
             speeds=RotorSpeedState.start(self.vehicle.motors),
             fit=self._fit.paused(state.fit),
+            wear=self._wear.paused(state.wear),
             planning=self._planner.interrupted(state.planning),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
@@ -362,6 +378,7 @@ class Companion:
         return replace(
             state,
             fit=self._fit.start(),
+            wear=self._wear.start(),
             confirmed=state.confirmed or state.fit.proven,
             held_back=((), -math.inf),
             failed=read_only(np.zeros(self.vehicle.motors, bool)),

@@ -25,6 +25,7 @@ from nff_companion.core.fit_monitor import FitState
 from nff_companion.core.flight_phase import FlightPhaseState
 from nff_companion.core.partial_loss import PartialLossState
 from nff_companion.core.rotor_speed import RotorSpeedState
+from nff_companion.core.wear import WearState
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -49,6 +50,9 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     among: tuple[tuple[int, ...], ...] = ()  # sets of motors (from 1) of which one has failed: which is not known
     weak: tuple[int, ...] = ()  # the motor (from 1) that has lost a part, or two above each other: one of them
     weak_left: float = 1.0  # effectiveness that it has left
+    worn: tuple[int, ...] = ()  # the motor (from 1) that gives somewhat less than it did earlier in the flight
+    worn_left: float = 1.0  # of what it gave
+    worn_sure: bool = False  # False: or a load has moved
     unresponsive: tuple[int, ...] = ()  # the motor (from 1) that keeps its thrust whatever it is told
     more: tuple[int, ...] = ()  # the motor (from 1) that pulls more than asked, or two above each other: one of them
     probing: bool = False  # motors are moved to tell which of ``among`` it is
@@ -93,6 +97,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     fit: FitState
     confirmed: bool  # the airframe file is the vehicle's own, by somebody's word
     weak: PartialLossState = partial_loss.NOTHING  # which motor has lost a part of its thrust
+    wear: WearState
     held_back: tuple[tuple[int, ...], float] = ((), -math.inf)  # motors that would have been declared, and when last
     last_s: float | None = None  # the last good sample; None: the next one begins anew
     good_since_s: float | None = None
@@ -122,7 +127,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
             return True
         weighed = isinstance(self.estimate, EstimatorState) and not self.estimate.decision.quiet
-        said = self.weak.told or self.fit.answers.told >= 0
+        said = self.weak.told or self.fit.answers.told >= 0 or self.wear.told >= 0
         return not (weighed or said or self.held_back[0] or True in self.last.degraded.tolist())
 
     @property

@@ -85,6 +85,8 @@ class Reason(Enum):
     PROBING = (63, "motors {} lost: testing which")
     MORE = (63, "LAND: motor {} pulls more than asked")
     WEAK = (63, "motor {} has lost a part of its thrust")
+    WORN = (63, "motor {} gives less thrust than before")
+    WORN_OR_LOAD = (63, "motor {} gives less, or a load moved")
     UNRESPONSIVE = (63, "LAND: motor {} does not answer")
     PARTIAL = (63, "reallocated a partial loss of motor {}")
     PARTIAL_NO_YAW = (63, "reallocated, motor {} partly lost, yaw given up")

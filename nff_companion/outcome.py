@@ -72,6 +72,7 @@ class Outcome:
         (m,) that answered the sample."""
         mode, planning, failed = acting(state, condition), state.planning, state.failed
         weak = state.weak if state.trusted else partial_loss.NOTHING
+        worn = (state.wear.told + 1,) if state.wear.told >= 0 and state.trusted and not weak.told else ()
         if mode == Mode.OVERRIDE and override is None:
             mode = Mode.ALLOCATE
         if estimate is not None:
@@ -108,6 +109,9 @@ class Outcome:
             more=() if estimate is None else tuple(motor + 1 for motor in estimate.more),
             weak=tuple(motor + 1 for motor in weak.told),
             weak_left=1.0 - weak.told_loss,
+            worn=worn,
+            worn_left=1.0 - state.wear.loss if worn else 1.0,
+            worn_sure=state.wear.sure,
             unresponsive=self._unresponsive(state),
             probing=planning.probing and (mode == Mode.OVERRIDE or (mode == Mode.ALLOCATE and condition.takes_matrix)),
             fit=state.fit.fit,

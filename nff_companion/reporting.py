@@ -219,6 +219,7 @@ class Reporter:
             "more": list(output.more),
             "unresponsive": list(output.unresponsive),
             "weak": {"motors": list(output.weak), "left": round(output.weak_left, 2)} if output.weak else None,
+            "worn": None if not output.worn else _worn(output),
             "events": list(self._events),
             "notes": [note.text for note in output.notes],
             "authority": None if plan is None else [round(float(a), 3) for a in plan.authority],
@@ -275,3 +276,8 @@ class Reporter:
             "yaw_given_up": in_force.yaw_released,
             "refused": dict(in_force.refused),
         }
+
+
+def _worn(output: Output) -> dict[str, Any]:
+    """The motor that gives less than before; ``or_load``: or a load has moved."""
+    return {"motor": output.worn[0], "left": round(output.worn_left, 2), "or_load": not output.worn_sure}

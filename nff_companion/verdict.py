@@ -97,7 +97,10 @@ def _undecided(output: Output) -> Statement | None:
 
 
 def _weak(output: Output) -> Statement | None:
-    return Statement(Reason.WEAK, " or ".join(map(str, output.weak))) if output.weak else None
+    if output.weak:
+        return Statement(Reason.WEAK, " or ".join(map(str, output.weak)))
+    told = Reason.WORN if output.worn_sure else Reason.WORN_OR_LOAD
+    return Statement(told, str(output.worn[0])) if output.worn else None
 
 
 def _anything(output: Output) -> bool:

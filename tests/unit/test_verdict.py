@@ -94,7 +94,14 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
     for mode in (Mode.OBSERVE, Mode.ALLOCATE):
         weak = verdict(wanting(weak=(2, 5)), condition, mode, FLOWN, None)
         assert (weak.reason, weak.text) == (Reason.WEAK, "motor 2 or 5 has lost a part of its thrust")
+        less = verdict(wanting(worn=(4,), worn_left=0.9), condition, mode, FLOWN, None)
+        assert (less.reason, less.text) == (Reason.WORN_OR_LOAD, "motor 4 gives less, or a load moved")
+        less = verdict(wanting(worn=(4,), worn_left=0.9, worn_sure=True), condition, mode, FLOWN, None)
+        assert (less.reason, less.text) == (Reason.WORN, "motor 4 gives less thrust than before")
+        assert verdict(wanting(worn=(4,), weak=(2,)), condition, mode, FLOWN, None).reason == Reason.WEAK
     assert verdict(wanting(), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
+    worn = Moment(wanting(worn=(4,), worn_left=0.896), condition, Mode.ALLOCATE, less, None)
+    assert Reporter(octo, None, 1).document(worn, 0.0, [])["worn"] == {"motor": 4, "left": 0.9, "or_load": True}
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
     document = Reporter(octo, None, 1).document(moment, 0.0, [])
     assert (document["among"], document["probing"]) == ([[1, 2], [7, 8]], False)
@@ -158,6 +165,8 @@ def test_status_and_document_say_the_autopilots_word(octo: Vehicle, plan: Plan, 
         (Reason.MORE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.UNRESPONSIVE, dialect.MAV_SEVERITY_CRITICAL, "LAND"),
         (Reason.WEAK, dialect.MAV_SEVERITY_WARNING, "part of its thrust"),
+        (Reason.WORN_OR_LOAD, dialect.MAV_SEVERITY_WARNING, "or a load"),
+        (Reason.WORN, dialect.MAV_SEVERITY_WARNING, "less thrust"),
         (Reason.PROBING, dialect.MAV_SEVERITY_WARNING, "testing"),
         (Reason.PARTIAL, dialect.MAV_SEVERITY_WARNING, "partial loss of motor x"),
         (Reason.PARTIAL_NO_YAW, dialect.MAV_SEVERITY_WARNING, "motor x partly lost"),
@@ -185,7 +194,16 @@ def test_whatever_is_believed_of_motors_or_done_about_them_reaches_the_pilot(rea
 
 @pytest.mark.parametrize(
     "reason",
-    [Reason.AMONG, Reason.PERHAPS, Reason.MORE, Reason.UNRESPONSIVE, Reason.WEAK, Reason.EITHER, Reason.PARTIAL],
+    [
+        Reason.AMONG,
+        Reason.PERHAPS,
+        Reason.MORE,
+        Reason.UNRESPONSIVE,
+        Reason.WEAK,
+        Reason.WORN,
+        Reason.EITHER,
+        Reason.PARTIAL,
+    ],
 )
 def test_other_motors_are_news(reason: Reason) -> None:
     announcer = Announcer()

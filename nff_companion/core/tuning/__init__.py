@@ -35,6 +35,7 @@ from nff_companion.core.tuning.fit import FitTuning
 from nff_companion.core.tuning.proposal import ProposalTuning
 from nff_companion.core.tuning.relations import check_relations
 from nff_companion.core.tuning.span import check_fields
+from nff_companion.core.tuning.wear import WearTuning
 
 __all__ = [
     "DEFAULT",
@@ -60,6 +61,7 @@ __all__ = [
     "SlidLoadTuning",
     "SparseTuning",
     "Tuning",
+    "WearTuning",
     "check",
 ]
 
@@ -83,6 +85,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     flight_phase: FlightPhaseTuning = FlightPhaseTuning()
     fit: FitTuning = FitTuning()
     proposal: ProposalTuning = ProposalTuning()
+    wear: WearTuning = WearTuning()
     planner: PlannerTuning = PlannerTuning()
     probe: ProbeTuning = ProbeTuning()
     override: OverrideTuning = OverrideTuning()

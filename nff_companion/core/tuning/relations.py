@@ -49,6 +49,8 @@ RELATIONS = (
     Relation("flight_phase.ended_share", "flight_phase.thrust_share", "a flight that began has not ended", equal=False),
     Relation("flight_phase.sure_after_s", "flight_phase.assumed_after_s", "an assumption needs longer"),
     Relation("flight_phase.height_m", "flight_phase.impact_below_m", "what was hit near the ground is the ground"),
+    Relation("wear.loss_ends", "wear.loss_min", "a loss that is said has not ended", equal=False),
+    Relation("wear.alike", "wear.recent", "what agrees is what is compared"),
     Relation("planner.shape_none_below", "planner.shape_full_at", "the line of (24) rises between them", equal=False),
     Relation("planner.removed_below", "planner.partial_min", "a motor that is not declared stays in use"),
     Relation("planner.removed_below", "planner.shape_full_at", "a whole motor is not removed", equal=False),

@@ -25,6 +25,7 @@ from sitl.uncertainty import LEVELS
 
 _FLAPS_S = 5.0
 _PARTS = ("partial", "ramp", "intermittent", "blade")  # faults of which a part lost is the truth
+LOADS = ("drop", "hook", "shift")  # of the events: a load moves
 NOT_IN_FULL = ("partial", "ramp", "intermittent", "stuck", "slow", "blade")  # of the kinds of fault
 
 
@@ -98,6 +99,9 @@ class Record:
         self.unresponsive: list[dict[int, float]] = [{} for _ in range(n)]  # that do not answer, and since when
         self.weak: list[dict[tuple[int, ...], float]] = [{} for _ in range(n)]  # that have lost a part, and since when
         self.weak_left = [1.0] * n
+        self.worn: list[dict[int, float]] = [{} for _ in range(n)]  # that give less than before, and since when
+        self.worn_left = [1.0] * n
+        self.worn_sure: list[set[int]] = [set() for _ in range(n)]  # of these, where no load may have moved instead
         self.flaps = [0] * n  # changes of what is done about a motor, within a few seconds of its last one
         self._about: list[frozenset[int]] = [frozenset()] * n
         self._changed_s: list[dict[int, float]] = [{} for _ in range(n)]
@@ -126,6 +130,10 @@ class Record:
                     self.more[k].setdefault(motor, fleet.time_s)
                 for motor in companion.output.unresponsive:
                     self.unresponsive[k].setdefault(motor, fleet.time_s)
+                for motor in companion.output.worn:
+                    self.worn[k].setdefault(motor, fleet.time_s)
+                    self.worn_left[k] = companion.output.worn_left
+                    self.worn_sure[k] |= {motor} if companion.output.worn_sure else set()
                 if companion.output.weak:
                     self.weak[k].setdefault(companion.output.weak, fleet.time_s)
                     self.weak_left[k] = companion.output.weak_left
@@ -171,7 +179,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
     """What the companion of vehicle ``k`` said of it. ``delay_s``: from the failure until all motors that fail are
     named: by themselves, as one of two above each other (``either``), as pulling more than asked (``more``), as not
     answering (``unresponsive``), or, where they are not lost in full, as ``weak`` (of two above each other: one of
-    them; ``weak_left``: the effectiveness said last) or allocated around (``partly``, the first one at ``partly_s``);
+    them; ``weak_left``: the effectiveness said last), ``worn`` (the same, ``worn_left``) or allocated around
+    (``partly``, the first one at ``partly_s``);
     ``among``: the sets of motors that could not be told apart, as said last, and ``among_s``, when the first was;
     ``wrong``: motors named that work; ``said_wrong``: those said not to answer, or to be weak; ``changes``:
     declarations and lifts; ``flaps``: changes of what is done about a motor within 5 s of its last one."""
@@ -192,7 +201,10 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
             wrong = sorted({*wrong, motor})
     works: set[int] = set()  # said, and nothing is done about it
     silent = [((motor,), time_s, ("stuck", "slow")) for motor, time_s in record.unresponsive[k].items()]
-    for motors, time_s, kinds in (*silent, *((*it, _PARTS) for it in record.weak[k].items())):
+    moved = case.event in LOADS  # "or a load moved": true
+    worn = {motor: at_s for motor, at_s in record.worn[k].items() if motor in record.worn_sure[k] or not moved}
+    less = [*record.weak[k].items(), *(((motor,), at_s) for motor, at_s in worn.items())]
+    for motors, time_s, kinds in (*silent, *((*it, _PARTS) for it in less)):
         its = set(motors) & set(case.motors)
         if not its or time_s < case.at_s:
             works |= set(motors)
@@ -208,6 +220,9 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "more": sorted(more),
         "unresponsive": sorted(record.unresponsive[k]),
         "weak": sorted({motor for motors in record.weak[k] for motor in motors}),
+        "worn": sorted(record.worn[k]),
+        "worn_sure": sorted(record.worn_sure[k]),
+        "worn_left": record.worn_left[k] if record.worn[k] else None,
         "said_wrong": sorted(works),
         "weak_left": record.weak_left[k] if record.weak[k] else None,
         "among": [list(motors) for motors in among[1]],
