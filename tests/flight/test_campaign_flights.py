@@ -212,3 +212,11 @@ def test_the_verdict_on_a_log_names_a_motor_all_the_same() -> None:
     fly_to(flight, 3.0)
     assert [event.motor for _, event in companion.events] == [3]
     assert not companion.output.either
+
+
+def test_a_tenth_less_of_a_motor_is_said_and_nothing_is_done_about_it() -> None:
+    row = flown(0, manoeuvres=("hover",), faults=("partial",), left=(0.9, 0.9), at_s=(12.0, 12.0), fly_on_s=8.0)
+    assert (row["worn"], row["wrong"], row["partly"], row["weak"]) == (row["motors"], [], [], []), row
+    assert row["delay_s"] < 6.0
+    assert abs(row["worn_left"] - 0.9) < 0.05
+    assert row["says"].startswith(f"motor {row['motors'][0]} gives less"), row
