@@ -109,3 +109,20 @@ def calibration(
         console.print(", ".join(f"{k} {v}" for k, v in vehicle.items() if k != "failures"), highlight=False)
     for key, value in document["summary"].items():
         console.print(f"{key}: {value}", highlight=False)
+
+
+@app.command("bound")
+def bound(
+    airframe: Annotated[list[str] | None, typer.Option(help="Airframe by name or TOML file; several.")] = None,
+    vehicles: Annotated[int, typer.Option(help="Each with numbers of its own.", min=1)] = 8,
+    json: Json = False,
+) -> None:
+    """How soon the loss of a motor could be told at best, from the plant's own noise and lag."""
+    from sitl.trials.bound import BoundOptions, measure
+
+    documents = [measure(BoundOptions(airframe=name, vehicles=vehicles)) for name in airframe or ["octo-x"]]
+    if json:
+        print_json({"airframes": documents})
+        return
+    for document in documents:
+        console.print(", ".join(f"{key} {value}" for key, value in document.items()), highlight=False, soft_wrap=True)

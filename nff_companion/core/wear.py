@@ -140,7 +140,8 @@ class Wear:
         known = int(compared.improvement.argmax()) == state.told and deviation <= self._tuning.deviation_max
         known = known and loss >= self._tuning.loss_min
         ahead = compared.improvement[state.told] - compared.load >= self._tuning.load_margin_min
-        return replace(state, loss=loss if known else state.loss, sure=state.sure or bool(known and ahead))
+        step = (loss - state.loss) / len(state.blocks) if known else 0.0
+        return replace(state, loss=state.loss + step, sure=state.sure or bool(known and ahead))
 
     def _less(self, state: WearState) -> tuple[int, float, bool, bool]:
         """The motor (index) that gives less by the newest blocks, -1: none; its loss; whether that is sure to be no
