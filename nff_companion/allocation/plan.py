@@ -49,17 +49,28 @@ def make_plan(
     effectiveness: NDArray[np.float64],
     hover: float,
     *,
+    alike: tuple[int, ...] = (),
     catching: bool = False,
     tuning: PlannerTuning = DEFAULT.planner,
 ) -> Plan | Refusal:
-    """Matrix for motor ``effectiveness`` (m,): all axes when roll and pitch keep authority, else without yaw."""
+    """Matrix for motor ``effectiveness`` (m,): all axes when roll and pitch keep authority, else without yaw.
+
+    ``alike``: motors (indices) that get the same command whatever is asked for, as one of them is lost and it is not
+    known which: what is right for the one is right for the other, and yaw is not made of the difference of the two.
+    """
     reason = ""
+    if alike:
+        nominal = nominal.copy()
+        nominal[:, alike] = nominal[:, alike].mean(axis=1, keepdims=True)
     enough = tuning.catch_authority_min if catching else tuning.attitude_authority_min
     spare: Plan | None = None
     for released in ((), (YAW,)):
         try:
             problem = problem_for(nominal, effectiveness, hover, released, tuning.removed_below)
             matrix = allocate(problem)
+            if alike:
+                matrix = matrix.copy()
+                matrix[list(alike)] = matrix[list(alike)].mean(axis=0)
         except (AllocationInfeasible, SolverError, np.linalg.LinAlgError) as error:
             reason = str(error)
             continue

@@ -197,7 +197,15 @@ class Planner:
         if (target == 1.0).all():
             return replace(state, plan=None, refusal=None)
         nominal, hover = self._vehicle.effectiveness, self._vehicle.hover
-        plan = make_plan(self._allocate, nominal, target, hover, catching=state.catching, tuning=self._tuning)
+        plan = make_plan(
+            self._allocate,
+            nominal,
+            target,
+            hover,
+            alike=estimate.either,
+            catching=state.catching,
+            tuning=self._tuning,
+        )
         if isinstance(plan, Plan):
             return replace(state, plan=plan, refusal=None, untouched=False)
         kept = state.plan

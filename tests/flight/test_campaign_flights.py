@@ -220,3 +220,18 @@ def test_a_tenth_less_of_a_motor_is_said_and_nothing_is_done_about_it() -> None:
     assert row["delay_s"] < 6.0
     assert abs(row["worn_left"] - 0.9) < 0.05
     assert row["says"].startswith(f"motor {row['motors'][0]} gives less"), row
+
+
+def test_of_two_above_each_other_of_which_one_is_lost_no_yaw_is_made() -> None:
+    """In a turning leg the yaw asked for drove the dead one of the two up and the live one down: both were declared at
+    last, and the vehicle crashed, which flies on alone."""
+    row = flown(
+        378,
+        airframes=("octo-x", "octo-plus", "coax-x8", "paper-octo"),
+        manoeuvres=MANOEUVRES,
+        seed=2027,
+        fly_on_s=4.0,
+    )
+    assert (row["airframe"], row["manoeuvre"], row["motors"]) == ("coax-x8", "forward", [8])
+    assert (row["either"], row["wrong"], row["survived"]) == ([3, 8], [], True), row
+    assert row["tilt_deg"] < row["alone_tilt_deg"], row

@@ -91,3 +91,23 @@ def test_a_healthy_hover_is_even_and_balanced() -> None:
         wrench = model.effectiveness @ allocator.allocate(allocator.mix_matrix(g), demand, g)
         assert wrench[1 + axis] > 0.01
         assert np.delete(wrench[1:], axis) == pytest.approx(np.zeros(2), abs=1e-6)
+
+
+@pytest.mark.parametrize("motor", range(1, 5))
+def test_of_two_above_each_other_of_which_one_is_lost_no_yaw_is_made(motor: int) -> None:
+    """By their difference PX4 drove the dead one of them to 0.9, and the vehicle crashed."""
+    model = vehicle.load("coax-x8")
+    place = model.position_m[motor - 1]
+    (mate,) = [i for i in range(8) if i != motor - 1 and np.allclose(model.position_m[i, :2], place[:2])]
+    eta = np.ones(8)
+    eta[[motor - 1, mate]] = 0.5
+    remedy = Advisor(model, geometry(model)).remedy(eta)
+    assert isinstance(remedy, Remedy), remedy
+    assert set(remedy.still) == {motor - 1, mate}
+    mix = allocator.mix_matrix(geometry(model).scaled(eta, still=remedy.still))
+    np.testing.assert_allclose(mix[motor - 1], mix[mate], atol=1e-9)
+    apart = eta.copy()
+    apart[mate] = 0.6  # each has lost a part of its own
+    other = Advisor(model, geometry(model)).remedy(apart)
+    assert not isinstance(other, NoRemedy)
+    assert other.still == ()

@@ -29,9 +29,13 @@ class Geometry:
     airmode: int = 0
     desaturate: bool = True
 
-    def scaled(self, effectiveness: NDArray[np.float64], *, yaw_released: bool = False) -> Geometry:
-        """The geometry with each CT times ``effectiveness`` (m,), and no moments when yaw is released."""
-        moment = np.zeros_like(self.moment_ratio) if yaw_released else self.moment_ratio
+    def scaled(
+        self, effectiveness: NDArray[np.float64], *, yaw_released: bool = False, still: tuple[int, ...] = ()
+    ) -> Geometry:
+        """The geometry with each CT times ``effectiveness`` (m,), and no moments when yaw is released, nor of the
+        motors ``still`` (indices)."""
+        moment = np.zeros_like(self.moment_ratio) if yaw_released else self.moment_ratio.copy()
+        moment[list(still)] = 0.0
         return replace(self, thrust_coefficient=self.thrust_coefficient * effectiveness, moment_ratio=moment)
 
 

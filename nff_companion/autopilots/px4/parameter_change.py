@@ -105,8 +105,9 @@ class ParameterChange:
         }
         ahead = [] if remedy.first is None else [f"CA_ROTOR{remedy.first}_CT"]
         wanted = {name: scale[name] for name in ahead}
-        for name in (f"CA_ROTOR{i}_KM" for i in range(self._motors)):
-            wanted[name] = 0.0 if remedy.yaw_released else self.found[name]
+        for i in range(self._motors):
+            name = f"CA_ROTOR{i}_KM"
+            wanted[name] = 0.0 if remedy.yaw_released or i in remedy.still else self.found[name]
         wanted |= {name: value for name, value in scale.items() if name not in ahead}
         # What others tune, and we have not touched, is left alone.
         wanted = {n: v for n, v in wanted.items() if n in self.touched or not same(v, self.found[n])}

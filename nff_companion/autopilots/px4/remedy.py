@@ -23,6 +23,7 @@ _STEP = 0.05  # torque demand to probe with
 _RESPONSE_MIN, _RESPONSE_MAX = 0.35, 2.5  # of the healthy vehicle's answer to it
 _CROSS_MAX = 0.6  # what it does to the other of roll and pitch, against the wanted
 _YAW_RESPONSE_MIN = 0.2
+_SAME_PLACE = 0.1  # of the farthest rotor's distance
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Remedy:
-    """``effectiveness`` (m,) to scale each CT with, and whether every KM is set to 0.
+    """``effectiveness`` (m,) to scale each CT with, and whether every KM is set to 0, or those of ``still`` (indices).
 
     ``first``: index of the motor whose CT is to be sent ahead of everything else, None: the moments go first. PX4 takes
     a burst of parameters in parts, up to a second apart.
@@ -60,6 +61,7 @@ class Remedy:
     effectiveness: NDArray[np.float64]
     yaw_released: bool
     first: int | None = None
+    still: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class Advisor:
 
     def predict(self, told: NDArray[np.float64], true: NDArray[np.float64], *, yaw_released: bool) -> Prediction:
         """With CT scaled by ``told`` (m,) when the motors really are ``true`` (m,)."""
-        geometry = self._geometry.scaled(told, yaw_released=yaw_released)
+        geometry = self._geometry.scaled(told, yaw_released=yaw_released, still=self._still(told))
         mix = allocator.mix_matrix(geometry)
         collective, ratio = self._hover(geometry, mix, true)
         if collective is None or self._healthy is None:
@@ -142,6 +144,15 @@ class Advisor:
             float(np.abs(now[a, :, b]).max()) / max(float(now[a, :, a].min()), 1e-9) for a, b in ((0, 1), (1, 0))
         )
         return Prediction(collective, ratio, bias, response, cross)
+
+    def _still(self, effectiveness: NDArray[np.float64]) -> tuple[int, ...]:
+        """Motors (indices) that must get the same command: two above each other of which one is lost, and it is not
+        known which. Of the difference of the two PX4 would make yaw."""
+        place, spin = self._geometry.position_m[:, :2], np.sign(self._geometry.moment_ratio)
+        near = np.linalg.norm(place[:, None] - place, axis=2) < _SAME_PLACE * np.linalg.norm(place, axis=1).max()
+        partly = (effectiveness > 0.0) & (effectiveness < 1.0)
+        alike = near & (spin[:, None] != spin) & (effectiveness[:, None] == effectiveness) & partly
+        return tuple(np.flatnonzero(alike.any(axis=1)).tolist())
 
     def _first(self, effectiveness: NDArray[np.float64]) -> int | None:
         """Which part of the burst the vehicle flies best with while the rest is not yet taken."""
@@ -167,7 +178,8 @@ class Advisor:
             prediction = self.predict(effectiveness, effectiveness, yaw_released=released)
             fault = prediction.fault(yaw=not released)
             if not fault:
-                return Remedy(effectiveness.copy(), released, self._first(effectiveness) if released else None)
+                first = self._first(effectiveness) if released else None
+                return Remedy(effectiveness.copy(), released, first, self._still(effectiveness))
             reason = reason or fault
         return NoRemedy(reason, no_lift=not self.lifts(effectiveness))
 
