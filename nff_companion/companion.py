@@ -71,7 +71,7 @@ class Companion:
         self._adaptation = None if parts.adapt is None else parts.adapt(vehicle)
         self._speeds = RotorSpeedWatch(vehicle.motors, o.rotor_speed)
         self._fit = FitMonitor(vehicle, self._dt_s, o.fit)
-        self._wear = Wear(vehicle, o.wear)
+        self._wear = Wear(vehicle, o)
         self._nothing = Knowledge.none(vehicle.axes)
         self._outcome = Outcome(vehicle.motors, vehicle.axes)
 

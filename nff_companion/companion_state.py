@@ -50,7 +50,7 @@ class Output(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     among: tuple[tuple[int, ...], ...] = ()  # sets of motors (from 1) of which one has failed: which is not known
     weak: tuple[int, ...] = ()  # the motor (from 1) that has lost a part, or two above each other: one of them
     weak_left: float = 1.0  # effectiveness that it has left
-    worn: tuple[int, ...] = ()  # the motor (from 1) that gives somewhat less than it did earlier in the flight
+    worn: tuple[int, ...] = ()  # the motor (from 1) that gives less than earlier, or two above each other: one of them
     worn_left: float = 1.0  # of what it gave
     worn_sure: bool = False  # False: or a load has moved
     unresponsive: tuple[int, ...] = ()  # the motor (from 1) that keeps its thrust whatever it is told
@@ -127,7 +127,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         if self.fit.fit.verdict == FitVerdict.DOES_NOT_FIT:
             return True
         weighed = isinstance(self.estimate, EstimatorState) and not self.estimate.decision.quiet
-        said = self.weak.told or self.fit.answers.told >= 0 or self.wear.told >= 0
+        said = self.weak.told or self.fit.answers.told >= 0 or bool(self.wear.told)
         return not (weighed or said or self.held_back[0] or True in self.last.degraded.tolist())
 
     @property

@@ -72,7 +72,7 @@ class Outcome:
         (m,) that answered the sample."""
         mode, planning, failed = acting(state, condition), state.planning, state.failed
         weak = state.weak if state.trusted else partial_loss.NOTHING
-        worn = (state.wear.told + 1,) if state.wear.told >= 0 and state.trusted and not weak.told else ()
+        worn = tuple(motor + 1 for motor in state.wear.told) if state.trusted and not weak.told else ()
         if mode == Mode.OVERRIDE and override is None:
             mode = Mode.ALLOCATE
         if estimate is not None:

@@ -279,5 +279,5 @@ class Reporter:
 
 
 def _worn(output: Output) -> dict[str, Any]:
-    """The motor that gives less than before; ``or_load``: or a load has moved."""
-    return {"motor": output.worn[0], "left": round(output.worn_left, 2), "or_load": not output.worn_sure}
+    """The motor that gives less than before, or one of two above each other; ``or_load``: or a load has moved."""
+    return {"motors": list(output.worn), "left": round(output.worn_left, 2), "or_load": not output.worn_sure}

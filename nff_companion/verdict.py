@@ -100,7 +100,7 @@ def _weak(output: Output) -> Statement | None:
     if output.weak:
         return Statement(Reason.WEAK, " or ".join(map(str, output.weak)))
     told = Reason.WORN if output.worn_sure else Reason.WORN_OR_LOAD
-    return Statement(told, str(output.worn[0])) if output.worn else None
+    return Statement(told, " or ".join(map(str, output.worn))) if output.worn else None
 
 
 def _anything(output: Output) -> bool:

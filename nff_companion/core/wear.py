@@ -22,8 +22,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from nff_companion.core.mates import Mates
 from nff_companion.core.residual import ResidualState
-from nff_companion.core.tuning import WearTuning
+from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import PITCH, ROLL, THRUST, YAW, Vehicle
 
 _REGRESSORS = ("lift", "side x", "side y", "yaw rate")
@@ -42,8 +43,9 @@ class WearState(Struct, frozen=True, kw_only=True, eq=False):
     """Sums of the block under way; the newest blocks, and the ``oldest`` before them; what was learnt; what is said.
 
     ``known`` blocks were learnt: ``coefficients`` C (n, k), ``covariance`` (n, k, k), ``scatter`` (n,) variance of a
-    block. Some motor may give less for ``suspected`` blocks; ``motor`` (index, -1: none) seems to, for ``alike``
-    blocks; ``told`` (-1: none) is said, with its ``loss``, and whether it is ``sure`` that it is no load that moved.
+    block. Some motor may give less for ``suspected`` blocks; ``motors`` (indices; two: one of these above each other)
+    seem to, for ``alike`` blocks; ``told`` are said, with their ``loss``, and whether it is ``sure`` that it is no load
+    that moved.
     """
 
     seconds: float = 0.0
@@ -56,9 +58,9 @@ class WearState(Struct, frozen=True, kw_only=True, eq=False):
     covariance: NDArray[np.float64]
     scatter: NDArray[np.float64]
     suspected: int = 0
-    motor: int = -1
+    motors: tuple[int, ...] = ()
     alike: int = 0
-    told: int = -1
+    told: tuple[int, ...] = ()
     loss: float = 0.0
     sure: bool = False
 
@@ -66,8 +68,9 @@ class WearState(Struct, frozen=True, kw_only=True, eq=False):
 class Wear:
     """Constants of one airframe."""
 
-    def __init__(self, vehicle: Vehicle, tuning: WearTuning) -> None:
-        o = self._tuning = tuning
+    def __init__(self, vehicle: Vehicle, tuning: Tuning) -> None:
+        o = self._tuning = tuning.wear
+        self._mates = Mates(vehicle, tuning)
         self._matrix = matrix = vehicle.acceleration_effectiveness
         one = np.sqrt((matrix**2).mean(axis=1)) * vehicle.hover  # what the loss of a motor does to each axis
         self._scatter = (np.array(o.scatter) * one) ** 2
@@ -76,9 +79,8 @@ class Wear:
         self._prior = (one**2)[:, None, None] * np.diag(width**2)
         self._error = np.array(o.model_error)[:, None]
         jx, jy, jz = vehicle.inertia_kg_m2.tolist()
-        self._aside = (
-            np.array([jx, jy]) / jz
-        )  # of roll and pitch by a load beside the middle, to yaw for each side / lift
+        # Of what a load beside the middle does to roll and pitch, for each side force over the lift, to yaw.
+        self._aside = np.array([jx, jy]) / jz
         # (2, m) yaw by the side force at each rotor, were it all at the rotors
         x, y = vehicle.position_m[:, :2].T
         self._drag = vehicle.mass_kg / jz * np.stack([-y, x]) / vehicle.motors
@@ -117,37 +119,54 @@ class Wear:
         blocks = (*state.blocks, block)
         if len(blocks) > o.recent:
             # What is being weighed is not learnt for some time, and what was found stays what it was compared with.
-            held = state.told >= 0 or 0 < state.suspected <= o.hold_blocks
+            held = bool(state.told) or 0 < state.suspected <= o.hold_blocks
             state = state if held else self._learnt(state, blocks[0], state.oldest)
             state, blocks = replace(state, oldest=blocks[0]), blocks[1:]
         state = replace(state, blocks=blocks)
         if state.known < o.known_blocks or len(blocks) < o.recent:
             return state
-        if state.told >= 0:
+        if state.told:
             return self._held(state)
-        motor, loss, sure, suspected = self._less(state)
-        alike = 0 if motor < 0 else state.alike + 1 if motor == state.motor else 1
-        told = motor if alike >= o.alike else -1
+        motors, loss, sure, suspected = self._less(state)
+        alike = 0 if not motors else state.alike + 1 if set(motors) & set(state.motors) else 1
+        told = motors if alike >= o.alike else ()
         state = replace(state, suspected=state.suspected + 1 if suspected else 0)
-        return replace(state, motor=motor, alike=alike, told=told, loss=loss if told >= 0 else 0.0, sure=sure)
+        return replace(state, motors=motors, alike=alike, told=told, loss=loss if told else 0.0, sure=sure)
 
     def _held(self, state: WearState) -> WearState:
         """The same while a motor is said to give less: how much less by now, and whether it gives as before."""
         compared = self._compared(state, len(state.blocks))
-        loss, deviation = float(compared.loss[state.told]), float(compared.deviation[state.told])
+        motor = max(state.told, key=lambda i: float(compared.improvement[i]))
+        loss, deviation = float(compared.loss[motor]), float(compared.deviation[motor])
         if loss + deviation < self._tuning.loss_ends:
-            return replace(state, blocks=(), suspected=0, motor=-1, alike=0, told=-1, loss=0.0, sure=False)
-        known = int(compared.improvement.argmax()) == state.told and deviation <= self._tuning.deviation_max
-        known = known and loss >= self._tuning.loss_min
-        ahead = compared.improvement[state.told] - compared.load >= self._tuning.load_margin_min
-        step = (loss - state.loss) / len(state.blocks) if known else 0.0
-        return replace(state, loss=state.loss + step, sure=state.sure or bool(known and ahead))
+            return replace(state, blocks=(), suspected=0, motors=(), alike=0, told=(), loss=0.0, sure=False)
+        motors, rival = self._place(compared, motor)
+        improvement = float(compared.improvement[motor])
+        known = improvement > rival and loss >= self._tuning.loss_min and deviation <= self._tuning.deviation_max
+        if not known:
+            return state
+        told = motors if set(motors) < set(state.told) else state.told
+        ahead = improvement - compared.load >= self._tuning.load_margin_min
+        loss = state.loss + (loss - state.loss) / len(state.blocks)
+        return replace(state, told=told, loss=loss, sure=state.sure or ahead)
 
-    def _less(self, state: WearState) -> tuple[int, float, bool, bool]:
-        """The motor (index) that gives less by the newest blocks, -1: none; its loss; whether that is sure to be no
-        load; whether some motor may."""
+    def _place(self, compared: _Compared, motor: int) -> tuple[tuple[int, ...], float]:
+        """``motor`` (index), or both, where the one above or below it explains as much: of them yaw alone tells which
+        it is; and the improvement of the best other one, or of the air."""
+        mate, others = self._mates.of[motor], compared.improvement.copy()
+        others[motor] = -np.inf
+        clear = mate < 0 or compared.improvement[motor] - others[mate] >= self._tuning.margin_min
+        if mate >= 0:
+            others[mate] = -np.inf
+        rival = max(float(others.max()), compared.air)
+        return (motor,) if clear else tuple(sorted((motor, mate))), rival
+
+    def _less(self, state: WearState) -> tuple[tuple[int, ...], float, bool, bool]:
+        """The motor (index) that gives less by the newest blocks, or two above each other, one of which does; its loss;
+        whether that is sure to be no load; whether some motor may give less."""
         o = self._tuning
-        found, most, suspected = (-1, 0.0, False), o.improvement_min, False
+        found: tuple[tuple[int, ...], float, bool] = ((), 0.0, False)
+        most, suspected = o.improvement_min, False
         for count in (o.alike, 2 * o.alike, o.recent):
             compared = self._compared(state, count)
             motor = int(compared.improvement.argmax())
@@ -155,11 +174,12 @@ class Wear:
             known = float(compared.deviation[motor]) <= o.deviation_max
             if improvement < o.improvement_min or not known or not o.loss_min <= loss <= 1.0:
                 continue
-            rival, load = max(float(np.delete(compared.improvement, motor).max()), compared.air), compared.load
+            motors, rival = self._place(compared, motor)
+            load = compared.load
             ahead = improvement - rival >= o.margin_min and improvement - load >= -o.load_behind_max
             suspected = suspected or ahead
             if ahead and improvement >= most:
-                found, most = (motor, loss, improvement - load >= o.load_margin_min), improvement
+                found, most = (motors, loss, improvement - load >= o.load_margin_min), improvement
         return (*found, suspected)
 
     def _compared(self, state: WearState, count: int) -> _Compared:
@@ -203,9 +223,9 @@ class Wear:
     def _learnt(self, state: WearState, block: Block, last: Block | None) -> WearState:
         """C and scatter with a ``block`` that is some seconds old, after the ``last`` one."""
         o, x = self._tuning, block.x
-        drift = np.zeros_like(state.covariance)
-        drift[:, _LIFT, _LIFT] = state.scatter / (x[_LIFT] * x[_LIFT] * o.memory_blocks)
-        prior = np.minimum(state.covariance + drift, self._prior.max(axis=(1, 2), keepdims=True))
+        prior = state.covariance.copy()
+        drifted = prior[:, _LIFT, _LIFT] + state.scatter / (x[_LIFT] * x[_LIFT] * o.memory_blocks)
+        prior[:, _LIFT, _LIFT] = np.minimum(drifted, self._prior[:, _LIFT, _LIFT])
         error, spread = block.z - state.coefficients.dot(x), prior.dot(x)  # (n,), (n, k)
         known = spread.dot(x)
         gain = spread / (known + state.scatter)[:, None]

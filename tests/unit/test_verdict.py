@@ -101,7 +101,7 @@ def test_sets_of_motors_that_cannot_be_told_apart_are_said_and_nothing_is_claime
         assert verdict(wanting(worn=(4,), weak=(2,)), condition, mode, FLOWN, None).reason == Reason.WEAK
     assert verdict(wanting(), condition, Mode.OBSERVE, FLOWN, None).reason == Reason.OBSERVING
     worn = Moment(wanting(worn=(4,), worn_left=0.896), condition, Mode.ALLOCATE, less, None)
-    assert Reporter(octo, None, 1).document(worn, 0.0, [])["worn"] == {"motor": 4, "left": 0.9, "or_load": True}
+    assert Reporter(octo, None, 1).document(worn, 0.0, [])["worn"] == {"motors": [4], "left": 0.9, "or_load": True}
     moment = Moment(output, condition, Mode.ALLOCATE, said, None)
     document = Reporter(octo, None, 1).document(moment, 0.0, [])
     assert (document["among"], document["probing"]) == ([[1, 2], [7, 8]], False)

@@ -99,9 +99,9 @@ class Record:
         self.unresponsive: list[dict[int, float]] = [{} for _ in range(n)]  # that do not answer, and since when
         self.weak: list[dict[tuple[int, ...], float]] = [{} for _ in range(n)]  # that have lost a part, and since when
         self.weak_left = [1.0] * n
-        self.worn: list[dict[int, float]] = [{} for _ in range(n)]  # that give less than before, and since when
+        self.worn: list[dict[tuple[int, ...], float]] = [{} for _ in range(n)]  # that give less than before, since when
         self.worn_left = [1.0] * n
-        self.worn_sure: list[set[int]] = [set() for _ in range(n)]  # of these, where no load may have moved instead
+        self.worn_sure: list[set[tuple[int, ...]]] = [set() for _ in range(n)]  # of these, where it was no load
         self.flaps = [0] * n  # changes of what is done about a motor, within a few seconds of its last one
         self._about: list[frozenset[int]] = [frozenset()] * n
         self._changed_s: list[dict[int, float]] = [{} for _ in range(n)]
@@ -130,10 +130,10 @@ class Record:
                     self.more[k].setdefault(motor, fleet.time_s)
                 for motor in companion.output.unresponsive:
                     self.unresponsive[k].setdefault(motor, fleet.time_s)
-                for motor in companion.output.worn:
-                    self.worn[k].setdefault(motor, fleet.time_s)
+                if companion.output.worn:
+                    self.worn[k].setdefault(companion.output.worn, fleet.time_s)
                     self.worn_left[k] = companion.output.worn_left
-                    self.worn_sure[k] |= {motor} if companion.output.worn_sure else set()
+                    self.worn_sure[k] |= {companion.output.worn} if companion.output.worn_sure else set()
                 if companion.output.weak:
                     self.weak[k].setdefault(companion.output.weak, fleet.time_s)
                     self.weak_left[k] = companion.output.weak_left
@@ -202,8 +202,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
     works: set[int] = set()  # said, and nothing is done about it
     silent = [((motor,), time_s, ("stuck", "slow")) for motor, time_s in record.unresponsive[k].items()]
     moved = case.event in LOADS  # "or a load moved": true
-    worn = {motor: at_s for motor, at_s in record.worn[k].items() if motor in record.worn_sure[k] or not moved}
-    less = [*record.weak[k].items(), *(((motor,), at_s) for motor, at_s in worn.items())]
+    worn = [(it, at_s) for it, at_s in record.worn[k].items() if it in record.worn_sure[k] or not moved]
+    less = [*record.weak[k].items(), *worn]
     for motors, time_s, kinds in (*silent, *((*it, _PARTS) for it in less)):
         its = set(motors) & set(case.motors)
         if not its or time_s < case.at_s:
@@ -220,8 +220,8 @@ def _seen(case: Case, companion: TrialCompanion, record: Record, k: int) -> dict
         "more": sorted(more),
         "unresponsive": sorted(record.unresponsive[k]),
         "weak": sorted({motor for motors in record.weak[k] for motor in motors}),
-        "worn": sorted(record.worn[k]),
-        "worn_sure": sorted(record.worn_sure[k]),
+        "worn": sorted({motor for motors in record.worn[k] for motor in motors}),
+        "worn_sure": sorted({motor for motors in record.worn_sure[k] for motor in motors}),
         "worn_left": record.worn_left[k] if record.worn[k] else None,
         "said_wrong": sorted(works),
         "weak_left": record.weak_left[k] if record.weak[k] else None,
