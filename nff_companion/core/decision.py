@@ -161,6 +161,8 @@ class Decision:
         least = o.loss_settled if state.either else o.loss_sudden
         if not (lost and best.beside >= o.margin_min and sum(best.loss) >= least):
             return []
+        if not state.either and best.place_loss < o.place_loss_min:
+            return []
         if (best.shared and self.failed_max < 2) or (new.more is not None and new.more.told):
             return []
         if max(shown[i] for i in place) < o.driven or (state.either and state.either != place):

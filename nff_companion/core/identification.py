@@ -190,7 +190,12 @@ class Identification:
         doubtful = self._doubt * seen.effectiveness_matrix.dot(w - state.steady)
         alone = len(best.motors) == 1
         told = alone and self._mates.told_apart(best.motors[0], w, seen.residual, lateral, doubtful)
-        return best if told else replace(best, place=place)
+        if told:
+            return best
+        # While the vehicle turns one of the two is driven far more: a part of what it gives is all that the other does.
+        lost = sum(share * float(w[motor]) for motor, share in zip(best.motors, best.loss, strict=True))
+        most = max(float(w[motor]) for motor in place)
+        return replace(best, place=place, place_loss=min(lost / most, 1.0) if most > 0.0 else 1.0)
 
     def _to_look_again(
         self, state: EstimatorState, onset: OnsetState, events: list[Event], weighed: Weighed, time_s: float

@@ -31,6 +31,7 @@ class Hypothesis:
     age_s: float
     beside: float = 0.0  # margin over the next that is not of the same place (core/mates.py)
     place: tuple[int, ...] = ()  # the two motors above each other of which it cannot be told; empty: it can
+    place_loss: float = 1.0  # of ``place``: the loss of the one of the two that it would be least of
     more: int = -1  # the motor that pulls more than it is asked to, where that explains better; -1: none
     moved: bool = False  # told from others by how the residual moves (core/evidence.py)
     shared: bool = False  # one motor, of all the pairs that explain well

@@ -84,6 +84,7 @@ DOUBTFUL = (
     replace(BEST, beside=1.0),
     replace(BEST, explained=0.3),
     replace(BEST, loss=(0.2,)),
+    replace(BEST, place_loss=0.2),
 )
 
 

@@ -156,6 +156,16 @@ class DecisionTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     loss_sudden: Annotated[
         float, span(0.3, 0.95, "", "least loss of each motor named, by the onset windows: gusts look like smaller ones")
     ] = 0.62
+    place_loss_min: Annotated[
+        float,
+        span(
+            0.0,
+            0.95,
+            "",
+            "least loss of either of two motors above each other, for one of them to be lost: while the vehicle turned,"
+            " 0.2 of the one, which had lost 0.3, was all that the other gave",
+        ),
+    ] = 0.4
     loss_settled: Annotated[
         float,
         span(
