@@ -88,6 +88,7 @@ class Weighed:
     direct: Hypothesis | None = None
     evidence: Evidence | None = None
     refuted: bool = False  # the residual does not move with what explains it: no motor is lost
+    alike: bool = False  # all motors give less by the same share: battery or load, and no motor is lost
     again: float = 0.0  # nats by which a motor that has lost a part gives more again
 
 

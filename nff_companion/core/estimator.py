@@ -139,9 +139,7 @@ class Estimator:
         taken_back = state.second_look is not None and bool(events)
         if taken_back or any(event.declared for event in events) or decision.either != state.decision.either:
             information, load = sparse.Information.empty(self.vehicle.motors), None
-        suspicious_since_s = None
-        if weighed.suspected and not (load is not None and load.slid):
-            suspicious_since_s = time_s if state.suspicious_since_s is None else state.suspicious_since_s
+        suspicious_since_s = _suspected(state, time_s, weighed, load)
         rate = self._learning_rate(state, time_s, suspicious_since_s, best)
         fast_until_s, quiet_since_s = self._settling(state, seen, time_s)
         weak = self._weak(state, time_s, decision, weighed, load, settled=time_s >= fast_until_s)
@@ -149,10 +147,12 @@ class Estimator:
         anew_until_s, onset = state.anew_until_s, decided.onset
         if weighed.refuted:
             anew_until_s = time_s + self.tuning.estimator.begin_s
+        if weighed.alike or time_s < anew_until_s:
+            information = sparse.Information.empty(self.vehicle.motors)
+            effectiveness = np.where(decision.failed, effectiveness, 1.0)
         if time_s < anew_until_s:
             # No motor is lost by how the residual moves: what explained it is the file's, and learnt at once.
-            rate, information = self.tuning.estimator.begin_rate, sparse.Information.empty(self.vehicle.motors)
-            effectiveness, onset = np.where(decision.failed, effectiveness, 1.0), self._onset.start()
+            rate, onset = self.tuning.estimator.begin_rate, self._onset.start()
         more = decision.more.sets[0] if decision.more is not None and decision.more.told else ()
         if among is not None or more:
             rate = 0.0  # what was learnt beside one of the sets would speak for it
@@ -386,6 +386,13 @@ class Estimator:
         if time_s < state.begin_until_s:
             return o.begin_rate
         return o.learn_fast_rate if time_s < state.fast_until_s else 1.0
+
+
+def _suspected(state: EstimatorState, time_s: float, weighed: Weighed, load: SlidLoadState | None) -> float | None:
+    """Since when losses are being weighed; None: they are not."""
+    if not weighed.suspected or (load is not None and load.slid):
+        return None
+    return time_s if state.suspicious_since_s is None else state.suspicious_since_s
 
 
 def _ordered(state: EstimatorState) -> EstimatorState:

@@ -132,6 +132,12 @@ class Identification:
         # Of one of two half is believed lost: where that one works again both seem to pull more.
         either = state.decision.either
         best = self._weighing.best(sums, failed, gamma, either)
+        if best is not None and direct is None and not either and True not in failed.tolist():
+            # A battery that sags takes from all what a few seem to lack; what is balanced turns the vehicle with it.
+            everyone = tuple(range(len(failed)))
+            less = hypotheses.together(sums.matrix, -sums.vector, everyone, 1.0)
+            if less - best.improvement >= self._tuning.decision.margin_min:
+                return Weighed(alike=True)
         if either and best is not None:
             best = works_again.beside(best, sums, either, failed, gamma, self._tuning.decision)
         weak = state.partial_loss.told

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -107,6 +107,8 @@ def test_an_output_that_is_stuck_is_said_when_the_others_move() -> None:
     assert row["delay_s"] < 6.0
 
 
+SIX = ("hover", "turn", "forward", "climb", "descent", "steps")
+ALL_EVENTS = get_args(Event)
 ESTIMATED: dict[str, Any] = {"manoeuvres": MANOEUVRES, "level": "estimated", "seed": 45}
 
 
@@ -250,3 +252,28 @@ def test_what_one_of_two_lacks_while_the_vehicle_turns_is_not_taken_for_all_that
     )
     assert (row["airframe"], row["manoeuvre"], row["motors"]) == ("coax-x8", "turn", [5])
     assert (row["either"], row["wrong"], row["said_wrong"]) == ([], [], []), row
+
+
+@pytest.mark.parametrize(
+    ("flight", "options"),
+    [
+        (
+            64,
+            {
+                "manoeuvres": ("hover", "turn", "forward", "steps"),
+                "events": ALL_EVENTS,
+                "at_s": (10.0, 20.0),
+                "seed": 93,
+            },
+        ),
+        (60, {"manoeuvres": SIX, "events": ("gust", "drop", "shift", "sag"), "at_s": (15.0, 25.0), "seed": 61}),
+    ],
+)
+def test_a_battery_that_sags_in_wind_takes_from_all_motors_and_is_no_loss_of_a_few(
+    flight: int, options: dict[str, Any]
+) -> None:
+    """Learning stood still while pairs were suspected, for as long as ten seconds; sets of motors were said to be lost,
+    and one that works was allocated around."""
+    row = flown(flight, faults=("none",), wind_m_s=(0.0, 8.0), fly_on_s=8.0, **options)
+    assert row["event"] == "sag"
+    assert (row["partly"], row["among"], row["wrong"], row["said_wrong"]) == ([], [], [], []), row
