@@ -325,6 +325,8 @@ class Companion:
         decided = estimating.decision
         if True in estimate.failed.tolist() or estimate.either:
             return self._wear.start()
+        if estimate.weak:
+            return self._wear.anew(state.wear)  # more than wear, and said as such
         if not estimate.settled or decided.among or decided.more:
             return self._wear.paused(state.wear)
         return self._wear.step(state.wear, estimating.residual, gap_s)

@@ -197,12 +197,13 @@ class Planner:
         if (target == 1.0).all():
             return replace(state, plan=None, refusal=None)
         nominal, hover = self._vehicle.effectiveness, self._vehicle.hover
+        both = bool((target[list(estimate.either)] == HALF).all())
         plan = make_plan(
             self._allocate,
             nominal,
             target,
             hover,
-            alike=estimate.either,
+            alike=estimate.either if both else (),
             catching=state.catching,
             tuning=self._tuning,
         )

@@ -28,6 +28,7 @@ from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import PITCH, ROLL, THRUST, YAW, Vehicle
 
 _REGRESSORS = ("lift", "side x", "side y", "yaw rate")
+_TINY = 1e-6
 _LIFT, _SIDE = _REGRESSORS.index("lift"), slice(_REGRESSORS.index("side x"), _REGRESSORS.index("yaw rate"))
 
 
@@ -44,8 +45,8 @@ class WearState(Struct, frozen=True, kw_only=True, eq=False):
 
     ``known`` blocks were learnt: ``coefficients`` C (n, k), ``covariance`` (n, k, k), ``scatter`` (n,) variance of a
     block. Some motor may give less for ``suspected`` blocks; ``motors`` (indices; two: one of these above each other)
-    seem to, for ``alike`` blocks; ``told`` are said, with their ``loss``, and whether it is ``sure`` that it is no load
-    that moved.
+    seem to, for ``alike`` blocks; ``told`` are said, for ``held`` blocks so far, with their ``loss``, and whether it is
+    ``sure`` that it is no load that moved.
     """
 
     seconds: float = 0.0
@@ -61,6 +62,7 @@ class WearState(Struct, frozen=True, kw_only=True, eq=False):
     motors: tuple[int, ...] = ()
     alike: int = 0
     told: tuple[int, ...] = ()
+    held: int = 0
     loss: float = 0.0
     sure: bool = False
 
@@ -93,6 +95,13 @@ class Wear:
     def paused(self, state: WearState) -> WearState:
         """The block under way is dropped: not all of it is healthy flight."""
         return state if state.moved is None else replace(state, seconds=0.0, moved=None, thrust=None)
+
+    def anew(self, state: WearState) -> WearState:
+        """Something else is said of the motors: what the newest blocks show is of that, what was learnt stays."""
+        state = self.paused(state)
+        if not state.blocks and not state.told:
+            return state
+        return replace(state, blocks=(), oldest=None, suspected=0, motors=(), alike=0, told=(), loss=0.0, sure=False)
 
     def step(self, state: WearState, seen: ResidualState, dt_s: float) -> WearState:
         """One sample in flight, while no motor is lost."""
@@ -131,24 +140,35 @@ class Wear:
         alike = 0 if not motors else state.alike + 1 if set(motors) & set(state.motors) else 1
         told = motors if alike >= o.alike else ()
         state = replace(state, suspected=state.suspected + 1 if suspected else 0)
-        return replace(state, motors=motors, alike=alike, told=told, loss=loss if told else 0.0, sure=sure)
+        loss = loss if told else 0.0
+        return replace(state, motors=motors, alike=alike, told=told, held=0, loss=loss, sure=sure)
 
     def _held(self, state: WearState) -> WearState:
         """The same while a motor is said to give less: how much less by now, and whether it gives as before."""
         compared = self._compared(state, len(state.blocks))
-        motor = max(state.told, key=lambda i: float(compared.improvement[i]))
+        o, gain = self._tuning, compared.improvement
+        if not state.sure and state.held >= o.hold_blocks:
+            return self._usual(state)
+        state = replace(state, held=state.held + 1)
+        place = {*state.told, *(self._mates.of[motor] for motor in state.told)} - {-1}
+        motor = max(place, key=lambda i: float(gain[i]))
         loss, deviation = float(compared.loss[motor]), float(compared.deviation[motor])
-        if loss + deviation < self._tuning.loss_ends:
-            return replace(state, blocks=(), suspected=0, motors=(), alike=0, told=(), loss=0.0, sure=False)
+        if loss + deviation < o.loss_ends and float(gain.max()) < o.improvement_min:
+            return self.anew(state)
         motors, rival = self._place(compared, motor)
-        improvement = float(compared.improvement[motor])
-        known = improvement > rival and loss >= self._tuning.loss_min and deviation <= self._tuning.deviation_max
-        if not known:
-            return state
-        told = motors if set(motors) < set(state.told) else state.told
-        ahead = improvement - compared.load >= self._tuning.load_margin_min
+        if gain[motor] <= rival or deviation > o.deviation_max:
+            return state  # more than one gives less, or the air is rough
+        clear = len(motors) == 1 and len(place) > 1
         loss = state.loss + (loss - state.loss) / len(state.blocks)
-        return replace(state, told=told, loss=loss, sure=state.sure or ahead)
+        sure = state.sure or bool(gain[motor] - compared.load >= o.load_margin_min)
+        return replace(state, told=motors if clear else state.told, loss=loss, sure=sure)
+
+    def _usual(self, state: WearState) -> WearState:
+        """A load that moved, as far as is known, stays where it is: what is steady is learnt anew."""
+        covariance = state.covariance.copy()
+        covariance[:, _LIFT], covariance[:, :, _LIFT] = 0.0, 0.0
+        covariance[:, _LIFT, _LIFT] = self._prior[:, _LIFT, _LIFT]
+        return replace(self.anew(state), covariance=covariance, known=0)
 
     def _place(self, compared: _Compared, motor: int) -> tuple[tuple[int, ...], float]:
         """``motor`` (index), or both, where the one above or below it explains as much: of them yaw alone tells which
@@ -188,7 +208,7 @@ class Wear:
         z, x, thrust = (np.mean([getattr(block, key) for block in newest], axis=0) for key in ("z", "x", "thrust"))
         off = z - state.coefficients.dot(x)
         # Gusts last longer than a block.
-        independent = min(float(count), self._tuning.independent_blocks)
+        independent = min(float(len(newest)), self._tuning.independent_blocks)
         variance = self._scatter_now(state) / independent + x.dot(state.covariance).dot(x)
         turns = -self._matrix * thrust  # (n, m) of the loss of each
         # A rotor that turns slower drags less: half as much as it loses, of the side force's share at the rotors.
@@ -205,7 +225,7 @@ class Wear:
         rest = off[:, None] - turns * loss
         cost = 0.5 * (rest * rest / each + np.log(each / variance[:, None])).sum(axis=0)
         nothing = 0.5 * off * off / variance
-        moved = float((off[[ROLL, PITCH]] * self._aside * x[_SIDE]).sum()) / x[_LIFT]
+        moved = float((off[[ROLL, PITCH]] * self._aside * x[_SIDE]).sum()) / max(x[_LIFT], _TINY)
         unknown = variance[YAW] + (self._tuning.load_error * moved) ** 2
         load = nothing.sum() - 0.5 * (off[YAW] - moved) ** 2 / unknown
         air = nothing[THRUST] + nothing[YAW]
@@ -224,11 +244,15 @@ class Wear:
         """C and scatter with a ``block`` that is some seconds old, after the ``last`` one."""
         o, x = self._tuning, block.x
         prior = state.covariance.copy()
-        drifted = prior[:, _LIFT, _LIFT] + state.scatter / (x[_LIFT] * x[_LIFT] * o.memory_blocks)
+        drifted = prior[:, _LIFT, _LIFT] + state.scatter / (max(x[_LIFT] * x[_LIFT], _TINY) * o.memory_blocks)
         prior[:, _LIFT, _LIFT] = np.minimum(drifted, self._prior[:, _LIFT, _LIFT])
         error, spread = block.z - state.coefficients.dot(x), prior.dot(x)  # (n,), (n, k)
         known = spread.dot(x)
-        gain = spread / (known + state.scatter)[:, None]
+        # Once what is usual is known, what is far from it moves it no more than what is at the limit would.
+        noise = state.scatter
+        if state.known >= o.known_blocks:
+            noise = np.maximum(noise, np.abs(error) * np.sqrt(known + noise) / o.spread_limit - known)
+        gain = spread / (known + noise)[:, None]
         share = 1.0 / min(state.known + o.scatter_blocks, o.memory_blocks)
         shown = error * error / (known + state.scatter) * state.scatter
         if last is not None:  # two in a row differ by their scatter alone, whatever is known

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,11 +55,16 @@ def measure(options: BoundOptions) -> dict[str, Any]:
         "airframe": options.airframe,
         "vehicles": options.vehicles,
         "false_alarm_h": _FALSE_ALARM_H,
-        "motors_s": [round(float(bound), 4) for bound in each.mean(axis=0)],
-        "median_s": round(float(np.median(each)), 4),
-        "least_s": round(float(each.min()), 4),
-        "most_s": round(float(each.max()), 4),
+        "motors_s": [_seconds(bound) for bound in each.mean(axis=0)],
+        "median_s": _seconds(np.median(each)),
+        "least_s": _seconds(each.min()),
+        "most_s": _seconds(each.max()),
     }
+
+
+def _seconds(bound: float) -> float | None:
+    """None: not within the time looked at."""
+    return round(float(bound), 4) if math.isfinite(bound) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +155,9 @@ def _bounds(vehicle: Vehicle, noise: Noise, options: BoundOptions) -> list[float
 
 def _shown(vehicle: Vehicle, motor: int, dt_s: float) -> NDArray[np.float64]:
     """(N, n) What the loss of ``motor`` (index) in hover does to the residual."""
-    chain, steady = ResidualFilter(vehicle, dt_s), np.full(vehicle.motors, vehicle.hover)
+    # A rotor that is lost need not hear of it.
+    at_once = vehicle.with_telemetry(msgspec.structs.replace(vehicle.telemetry, output_delay_s=0.0))
+    chain, steady = ResidualFilter(at_once, dt_s), np.full(vehicle.motors, vehicle.hover)
     gyro, force = np.zeros(3), np.array([0.0, 0.0, -1.0])
     state, lost = chain.start(gyro, force, steady), steady * (np.arange(vehicle.motors) != motor)
     out = []

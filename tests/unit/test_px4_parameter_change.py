@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ from px4_told import held, untold
 
 from nff_companion.autopilots.base import Permit
 from nff_companion.autopilots.px4.adapter import Px4Adapter
-from nff_companion.autopilots.schedule import Release
+from nff_companion.autopilots.schedule import Declare, Release
 from nff_companion.condition import Reason
+from nff_companion.core import vehicle as vehicles
+from nff_companion.mavlink.codec import Message
 
 
 def changed_by_another(adapter: Px4Adapter, px4: FakePx4, name: str, value: float, now: float) -> None:
@@ -284,3 +287,26 @@ def test_an_output_changed_after_a_declaration_is_looked_at_after_landing(tmp_pa
     command = adapter.condition(now).command
     assert command is not None
     assert command.reason == Reason.CONTRADICTION
+
+
+def test_two_that_had_the_same_command_make_yaw_again_only_after_one_is_told_dead(tmp_path: Path) -> None:
+    """PX4 takes a burst in parts, up to a second apart: with the moments back first it made yaw of a dead motor."""
+    coax = vehicles.load("coax-x8")
+    px4 = FakePx4(coax)
+    adapter, now = in_flight(tmp_path, px4, coax)
+    either = np.where(np.isin(np.arange(8), (2, 7)), 0.5, 1.0)
+    first = sent(adapter.encode(Declare(now, np.zeros(8, bool), either)))
+    assert set(first) == {"CA_ROTOR2_KM", "CA_ROTOR7_KM", "CA_ROTOR2_CT", "CA_ROTOR7_CT"}
+    assert set(first[:2]) == {"CA_ROTOR2_KM", "CA_ROTOR7_KM"}
+    now = talk(adapter, px4, now, 2.5)
+    dead = np.arange(8) == 7
+    adapter.condition(now)
+    then = sent(adapter.encode(Declare(now, dead, np.where(dead, 0.0, 1.0))))
+    assert then[0] == "CA_ROTOR7_CT"
+    assert set(then[:2]) == {"CA_ROTOR7_CT", "CA_ROTOR2_CT"}
+    assert set(then[2:]) == {"CA_ROTOR2_KM", "CA_ROTOR7_KM"}
+
+
+def sent(messages: Sequence[Message]) -> list[str]:
+    """Names of the parameters set, in order."""
+    return [str(m.param_id).rstrip("\0") for m in messages if m.get_type() == "PARAM_SET"]

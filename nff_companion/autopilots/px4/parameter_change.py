@@ -104,11 +104,17 @@ class ParameterChange:
             for i, share in enumerate(remedy.effectiveness)
         }
         ahead = [] if remedy.first is None else [f"CA_ROTOR{remedy.first}_CT"]
+        still = range(self._motors) if remedy.yaw_released else remedy.still
+        moment = {f"CA_ROTOR{i}_KM": 0.0 if i in still else self.found[f"CA_ROTOR{i}_KM"] for i in range(self._motors)}
+        # Moments that are given up go before the thrusts; those that come back after them: of two that had to get the
+        # same command PX4 would make yaw again while one of them is not yet told dead.
+        back = [name for name, value in moment.items() if name in self.touched and value != 0.0]
         wanted = {name: scale[name] for name in ahead}
-        for i in range(self._motors):
-            name = f"CA_ROTOR{i}_KM"
-            wanted[name] = 0.0 if remedy.yaw_released or i in remedy.still else self.found[name]
-        wanted |= {name: value for name, value in scale.items() if name not in ahead}
+        wanted |= {name: value for name, value in moment.items() if name not in back}
+        wanted |= {
+            name: scale[name] for name in sorted(scale, key=lambda name: scale[name] != 0.0) if name not in ahead
+        }
+        wanted |= {name: moment[name] for name in back}
         # What others tune, and we have not touched, is left alone.
         wanted = {n: v for n, v in wanted.items() if n in self.touched or not same(v, self.found[n])}
         self._before = {name: self._reader.values[name] for name in wanted}

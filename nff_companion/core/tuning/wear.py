@@ -26,7 +26,13 @@ class WearTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         float, span(1.0, 60.0, "blocks", "that so many together count for at most: gusts last longer than one")
     ] = 3.0
     hold_blocks: Annotated[
-        int, span(0, 600, "blocks", "for which nothing is learnt while some motor may give less")
+        int,
+        span(
+            0,
+            600,
+            "blocks",
+            "for which nothing is learnt while some motor may give less, or what may be a load is said",
+        ),
     ] = 30
     side_max_m_s2: Annotated[
         float, span(0.5, 20.0, "m/s^2", "of side force, as in some 8 m/s of wind: faster flight is not looked at")
@@ -66,7 +72,7 @@ class WearTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         float, span(0.01, 1.0, "", "share of what side force turns beside a load that was moved: inertias may be off")
     ] = 0.15
     loss_min: Annotated[float, span(0.01, 0.5, "", "least loss that is said")] = 0.06
-    loss_ends: Annotated[float, span(0.0, 0.5, "", "a loss below it by one deviation is no longer said")] = 0.04
+    loss_ends: Annotated[float, span(0.01, 0.5, "", "a loss below it by one deviation is no longer said")] = 0.04
     deviation_max: Annotated[float, span(0.005, 0.5, "", "standard deviation of a loss that is said")] = 0.03
     improvement_min: Annotated[float, span(3.0, 200.0, "nats", "over that no motor gives less than before")] = 12.0
     margin_min: Annotated[float, span(1.0, 100.0, "nats", "over another motor, and over that the air turns it")] = 6.0

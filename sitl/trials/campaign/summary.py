@@ -46,7 +46,7 @@ def summarised(rows: list[Row]) -> dict[str, Any]:
         "either": sum(bool(row["either"]) for row in rows),  # named as one of two motors above each other
         "partly": sum(bool(row["partly"]) for row in rows),
         "partly_wrong": sum(bool(set(row["partly"]) - set(row["motors"])) for row in rows),  # of a motor that works
-        "said_wrong": sum(bool(row["said_wrong"]) for row in rows),  # said not to answer, or to be weak, and it works
+        "said_wrong": sum(bool(row["said_wrong"]) for row in rows),  # said not to answer, or to give less, and it works
         "changes_most": max((row["changes"] for row in rows), default=0),  # declarations and lifts in one flight
         "flaps": sum(row["flaps"] or 0 for row in rows),  # changes of a motor within 5 s of its last one
         "hours": round(hours, 3),
