@@ -37,7 +37,7 @@ def uneven(octo: Vehicle) -> np.ndarray:
 def test_a_bent_curve_is_learnt_where_motors_work_unevenly(
     octo: Vehicle, bend: float, rng: np.random.Generator
 ) -> None:
-    state = flown(octo, uneven(octo), bend, 3.0, rng)
+    state = flown(octo, uneven(octo), bend, 9.0, rng)
     assert state.bend == pytest.approx(bend, abs=5.0 * state.variance**0.5)
     assert state.bend == pytest.approx(bend, abs=0.15)
 
