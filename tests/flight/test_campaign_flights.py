@@ -277,3 +277,22 @@ def test_a_battery_that_sags_in_wind_takes_from_all_motors_and_is_no_loss_of_a_f
     row = flown(flight, faults=("none",), wind_m_s=(0.0, 8.0), fly_on_s=8.0, **options)
     assert row["event"] == "sag"
     assert (row["partly"], row["among"], row["wrong"], row["said_wrong"]) == ([], [], [], []), row
+
+
+def test_what_is_said_of_wear_changes_nothing_that_is_believed_or_done() -> None:
+    """Two vehicles alike to the last bit, of which one has a companion that never says it."""
+    faults = [Fault(vehicle=k, motor=3, start_s=14.0, kind="partial", effectiveness=0.85) for k in (0, 1)]
+    options = FleetOptions(seeds=[7, 7], wind_m_s=3.0, turbulence_m_s=0.75, height_m=20.0)
+    fleet = Fleet(airframe.load(vehicles.path_of("octo-x"), vehicles=2), options, faults)
+    deaf = Tuning().having("wear", improvement_min=200.0, known_blocks=600)
+    flight = VirtualFlight(fleet, {0: TrialOptions(), 1: TrialOptions(tuning=deaf)}, airframe="octo-x")
+    while fleet.time_s < 21.0:
+        flight.step()
+        one, other = (companion.output for companion in flight.companions)
+        assert one.failed.tolist() == other.failed.tolist()
+        assert one.degraded.tolist() == other.degraded.tolist()
+        assert (one.plan is None) == (other.plan is None)
+        if one.estimate is not None and other.estimate is not None:
+            assert one.estimate.residual.tolist() == other.estimate.residual.tolist()
+    assert (one.worn or one.weak) == (3,)
+    assert other.worn == ()
