@@ -10,6 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from nff_companion.calibration import air, chain, model, noise
+from nff_companion.calibration.lift import SHARE, lift_slope
 from nff_companion.calibration.model import BELIEVED, Layout, Prior
 from nff_companion.calibration.record import Piece, Record
 
@@ -23,7 +24,7 @@ _TURNING = (model.ROLL, model.PITCH, model.YAW)
 _CURVE = [model.EXPO, model.IDLE]
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
-_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.05, 0.03)
+_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.15, 0.03)
 _NO_VEHICLE = 4.0  # deviations of what an owner knows of motors and centre of mass, beyond which it is no news of them
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
 _LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.04, 0.0, 0.015
@@ -168,6 +169,20 @@ class Problem:
             out.append(air.columns(values[skip:], thrust[skip:], self._layout))
         return out
 
+    def steepness_seen(self, x: NDArray[np.float64]) -> tuple[float, float] | None:
+        """Logarithm of the curve's steepness at the mean outputs by what a change of them lifts, and its deviation."""
+        if not {model.EXPO, model.IDLE} & set(self.free.tolist()):
+            return None
+        shape = model.shape_of(x, self._layout.full)
+        skipped = [(values[skip:], skip, piece) for values, skip, piece in self._each()]
+        thrust = [chain.shown(piece, [shape], self._filters)[0].mean(axis=1)[skip:] for _, skip, piece in skipped]
+        ups, airs = [values[:, 0] for values, _, _ in skipped], [columns[model.THRUST][:, 1:] for columns in self._air]
+        found = lift_slope(ups, thrust, airs, self._pieces[0].dt_s, climbs=airs[0].shape[1] > 1)
+        if found is None:
+            return None
+        steep, _ = model.steepness(x, self._layout, self.mean_output)
+        return float(np.log(found.ratio / SHARE * steep)), found.deviation
+
     def _still(self, values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
         """``values`` (N,) of all pieces, without what the air did, about their mean."""
         rest = air.taken_off(values, np.concatenate([piece[axis] for piece in self._air]))
@@ -262,7 +277,7 @@ def fit(
         scale = deviations[free]
         found = least_squares(problem.residual, x[free], problem.jacobian, x_scale=scale, max_nfev=20, xtol=1e-4)
         x = problem.whole(found.x)
-    made = _known(problem, x, free, explained, prior)
+    made = _lifted(_known(problem, x, free, explained, prior), problem.steepness_seen(x))
     trim = np.r_[model.motors_of(layout), model.centre_of(layout)]
     if prior.motor > 0.0 and (np.abs(x[trim]) > _NO_VEHICLE * deviations[trim]).any():
         return _without_trim(made, record, filters, inertia, x_start, prior, rounds)
@@ -291,6 +306,19 @@ def _known(
     if prior.yaw == 0.0:
         covariance[model.SHAPE + model.YAW, model.SHAPE + model.YAW] = _UNSEEN**2
     return Fit(x, covariance, deviations, layout, problem.mean_output, explained)
+
+
+def _lifted(made: Fit, seen: tuple[float, float] | None) -> Fit:
+    """``made`` with the steepness of the curve as a change of the outputs lifts, ``seen``: a logarithm and its
+    deviation. How much less sure the rest of the record is of the curve than noise says, is in the covariance alone."""
+    if seen is None:
+        return made
+    target, deviation = seen
+    steep, slope = model.steepness(made.x, made.layout, made.mean_output)
+    spread = made.covariance @ slope
+    gain = spread / (float(slope @ spread) + deviation**2)
+    covariance = made.covariance - np.outer(gain, spread)
+    return replace(made, x=made.x + gain * (target - float(np.log(steep))), covariance=covariance)
 
 
 def _without_trim(
