@@ -227,7 +227,8 @@ class Companion:
             fit = self._fit.paused(state.fit, anew=not phase.flying)
             if phase.aloft_since_s is not None and not state.failed.any() and not state.either:
                 fit = self._fit.lifted(state.fit, -float(sample.specific_force_m_s2[2]), command)
-            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit)
+            wear = self._wear.paused(state.wear)
+            state = replace(state, estimate=None, loop=OverrideState(), trouble=why, fault=fault, fit=fit, wear=wear)
             return self._said(state, condition, time_s)
         try:
             estimating, estimate = self._estimated(state, sample, command, gap)

@@ -220,7 +220,7 @@ class Wear:
         loss = np.zeros(len(thrust))
         for _ in range(2):  # how far the file may be off grows with the loss
             each = variance[:, None] + (doubtful * loss) ** 2
-            weight = (turns * turns / each).sum(axis=0)
+            weight = np.maximum((turns * turns / each).sum(axis=0), _TINY)  # one that gives nothing tells nothing
             loss = np.clip((turns * off[:, None] / each).sum(axis=0) / weight, 0.0, 1.0)
         rest = off[:, None] - turns * loss
         cost = 0.5 * (rest * rest / each + np.log(each / variance[:, None])).sum(axis=0)

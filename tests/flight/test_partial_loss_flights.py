@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -11,6 +12,9 @@ import pytest
 from nff_companion.condition import Mode, Reason
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.answers import Answers
+from nff_companion.core.estimator import Estimator
+from nff_companion.core.sample import Sample
+from nff_companion.errors import SolverError
 from sitl import airframe
 from sitl.faults import Fault
 from sitl.fleet import Fleet, FleetOptions
@@ -68,3 +72,33 @@ def test_it_stays_said_when_the_telemetry_stops_and_a_solver_fails(monkeypatch: 
     assert companion.output.mode == Mode.ALLOCATE
     assert companion.events == []
     assert not flight.fleet.state.crashed.any()
+
+
+def test_wear_stays_said_when_the_link_is_lost_samples_are_no_numbers_and_a_solver_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    faults = [Fault(vehicle=0, motor=3, start_s=12.0, kind="partial", effectiveness=0.88)]
+    options = FleetOptions(seeds=[7], wind_m_s=3.0, turbulence_m_s=0.75, height_m=20.0)
+    fleet = Fleet(airframe.load(vehicles.path_of("octo-x"), vehicles=1), options, faults)
+
+    def altered(sample: Sample) -> Sample:
+        nan = 19.5 < fleet.time_s < 19.7
+        return dataclasses.replace(sample, gyro_rad_s=np.full(3, np.nan)) if nan else sample
+
+    def failing(*_: Any) -> Any:
+        raise SolverError("singular")
+
+    step = Estimator.step
+    flight = VirtualFlight(fleet, {0: TrialOptions()}, airframe="octo-x", alter=altered)
+    companion = flight.companions[0]
+    while fleet.time_s < 22.0:
+        flight.step()
+        if 18.5 < fleet.time_s < 19.0:
+            companion.down.receive(math.inf)  # lost
+        monkeypatch.setattr(Estimator, "step", failing if 20.2 < fleet.time_s < 20.4 else step)
+        if fleet.time_s > 18.5:
+            assert companion.output.worn == (3,)
+            assert companion.output.worn_left == pytest.approx(0.88, abs=0.05)
+    assert companion.output.bad_samples > 20
+    assert companion.events == []
+    assert not fleet.state.crashed.any()

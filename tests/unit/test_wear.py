@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,44 +26,47 @@ def one_of(vehicle: Vehicle) -> NDArray[np.float64]:
     return np.asarray(np.sqrt((vehicle.acceleration_effectiveness**2).mean(axis=1)) * vehicle.hover)
 
 
-def flown(  # noqa: PLR0913 - all by name
-    vehicle: Vehicle,
-    *,
-    seconds: float = CHANGE_S + 20.0,
-    loss: NDArray[np.float64] | None = None,
-    until_s: float = 1e9,
-    moved: NDArray[np.float64] | None = None,
-    side_m_s2: float = 0.5,
-    gap_s: float = 0.0,
-    rough: float = 1.0,
-    then: tuple[float, NDArray[np.float64]] | None = None,
-    seed: int = 1,
-) -> tuple[WearState, float | None]:
-    """A hover; from ``CHANGE_S`` on each motor gives its ``loss`` (m,) less, until ``until_s``, and all turns ``moved``
-    (n,) more; ``rough``: times the noise; ``then``: what is lost from so many seconds on. The last state, and when
-    something was said first."""
-    print("seed", seed)
-    rng, wear = np.random.default_rng(seed), Wear(vehicle, Tuning())
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Hover:
+    """From ``CHANGE_S`` on each motor gives its ``loss`` (m,) less, until ``until_s``, and all turns ``moved`` (n,)
+    more; ``rough``: times the noise; ``then``: what is lost from so many seconds on; ``gap_s`` without telemetry."""
+
+    seconds: float = CHANGE_S + 20.0
+    loss: NDArray[np.float64] | None = None
+    until_s: float = 1e9
+    moved: NDArray[np.float64] | None = None
+    side_m_s2: float = 0.5
+    gap_s: float = 0.0
+    rough: float = 1.0
+    then: tuple[float, NDArray[np.float64]] | None = None
+    seed: int = 1
+
+
+def flown(vehicle: Vehicle, **options: Any) -> tuple[WearState, float | None]:
+    """A ``Hover`` with these options: the last state, and when something was said first."""
+    hover = Hover(**options)
+    print("seed", hover.seed)
+    rng, wear = np.random.default_rng(hover.seed), Wear(vehicle, Tuning())
     matrix, one = vehicle.acceleration_effectiveness, one_of(vehicle)
     off = 0.5 * one * rng.standard_normal(4)  # by the file
     thrust, nothing = np.full(vehicle.motors, vehicle.hover), np.zeros(3)
     filters = ResidualFilter(vehicle, DT_S)
     still = filters.start(nothing, np.array([0.0, 0.0, -9.81]), thrust)
     state, gust, said_s = wear.start(), np.zeros(2), None
-    for k in range(round(seconds / DT_S)):
+    for k in range(round(hover.seconds / DT_S)):
         time_s = DT_S * k
         gust += 0.02 * (rng.standard_normal(2) - gust)
-        side = side_m_s2 * np.array([0.8, 0.6]) + gust
+        side = hover.side_m_s2 * np.array([0.8, 0.6]) + gust
         shown = thrust * (1.0 + 0.02 * rng.standard_normal(vehicle.motors))
-        given = shown if loss is None or not CHANGE_S <= time_s < until_s else shown * (1.0 - loss)
-        if then is not None and time_s >= then[0]:
-            given = given - shown * then[1]
-        seen = matrix.dot(given) + off + rough * one * NOISE * rng.standard_normal(4)
+        given = shown if hover.loss is None or not CHANGE_S <= time_s < hover.until_s else shown * (1.0 - hover.loss)
+        if hover.then is not None and time_s >= hover.then[0]:
+            given = given - shown * hover.then[1]
+        seen = matrix.dot(given) + off + hover.rough * one * NOISE * rng.standard_normal(4)
         seen[[ROLL, PITCH]] += 0.1 * one[[ROLL, PITCH]] * side[::-1]
-        if moved is not None and time_s >= CHANGE_S:
-            seen = seen + moved
+        if hover.moved is not None and time_s >= CHANGE_S:
+            seen = seen + hover.moved
         smoothed = np.concatenate([seen, side, nothing, side])
-        if gap_s and CHANGE_S <= time_s < CHANGE_S + gap_s:
+        if hover.gap_s and CHANGE_S <= time_s < CHANGE_S + hover.gap_s:
             state = wear.paused(state)
         else:
             state = wear.step(state, dataclasses.replace(still, smoothed=smoothed, thrust_shown=shown), DT_S)
