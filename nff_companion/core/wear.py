@@ -158,10 +158,11 @@ class Wear:
         motors, rival = self._place(compared, motor)
         if gain[motor] <= rival or deviation > o.deviation_max:
             return state  # more than one gives less, or the air is rough
-        clear = len(motors) == 1 and len(place) > 1
+        # In a turn yaw misleads: where it speaks for the other of two above each other, both are said from then on.
+        other = len(motors) == 1 and motor not in state.told
         loss = state.loss + (loss - state.loss) / len(state.blocks)
         sure = state.sure or bool(gain[motor] - compared.load >= o.load_margin_min)
-        return replace(state, told=motors if clear else state.told, loss=loss, sure=sure)
+        return replace(state, told=tuple(sorted(place)) if other else state.told, loss=loss, sure=sure)
 
     def _usual(self, state: WearState) -> WearState:
         """A load that moved, as far as is known, stays where it is: what is steady is learnt anew."""

@@ -296,3 +296,19 @@ def test_what_is_said_of_wear_changes_nothing_that_is_believed_or_done() -> None
             assert one.estimate.residual.tolist() == other.estimate.residual.tolist()
     assert (one.worn or one.weak) == (3,)
     assert other.worn == ()
+
+
+def test_of_two_above_each_other_the_one_that_yaw_speaks_for_later_is_said_beside_the_other() -> None:
+    """In a turn: motor 4 alone was said at last, which is above motor 7."""
+    row = flown(
+        5,
+        manoeuvres=("hover", "turn", "steps", "climb"),
+        faults=("partial",),
+        left=(0.9, 0.9),
+        at_s=(10.0, 20.0),
+        fly_on_s=30.0,
+        seed=92,
+    )
+    assert (row["airframe"], row["motors"], row["said_wrong"], row["wrong"]) == ("coax-x8", [7], [], []), row
+    assert 7 in row["worn"]
+    assert abs(row["worn_left"] - 0.9) < 0.05
