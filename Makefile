@@ -2,6 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.ready
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Several times as fast; pip, which brings it, does what it cannot: a mirror that pip alone was told of.
+UV := VIRTUAL_ENV=.venv $(BIN)/uv --quiet --no-progress pip install
 
 # Without byte code the daemon would compile the dialect at each start.
 unexport PYTHONDONTWRITEBYTECODE
@@ -12,8 +15,10 @@ env: $(STAMP)
 
 $(STAMP): requirements.lock pyproject.toml hatch_build.py mavlink_dialect/nff.xml mavlink_dialect/generate.py
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	sed -n '/^uv==/,/[^\\]$$/p' requirements.lock > .venv/uv.lock
+	$(PIP) --require-hashes -r .venv/uv.lock
+	$(UV) --require-hashes -r requirements.lock || $(PIP) --require-hashes -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation -e .
 	$(BIN)/python mavlink_dialect/generate.py > /dev/null 2>&1
 	$(BIN)/python -m sitl.trials.warm_up
 	touch $(STAMP)
@@ -50,7 +55,7 @@ lock: env
 
 # Several GB: the training of networks alone needs it.
 train-env: env
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[train]'
+	$(UV) -e '.[train]' || $(PIP) -e '.[train]'
 
 train-test: train-env
 	$(BIN)/python -m pytest -m train

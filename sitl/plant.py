@@ -98,6 +98,11 @@ def full_load_share() -> float:
     return (1.0 - _BATTERY_SAG) ** 2
 
 
+def battery_voltage(state: PlantState, parameters: PlantParameters) -> NDArray[np.float64]:
+    """(N,) at the battery's terminals, over that of a full one without load."""
+    return np.asarray(state.battery - _BATTERY_SAG * state.thrust_n.sum(axis=1) / parameters.max_thrust_n.sum(axis=1))
+
+
 def initial_state(parameters: PlantParameters, *, height_m: float = 0.0, yaw_rad: float = 0.0) -> PlantState:
     """Vehicles at rest at ``height_m`` above the ground; at height 0 they stand on it."""
     n, m = parameters.vehicles, parameters.motors

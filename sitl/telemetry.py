@@ -12,12 +12,14 @@ from nff_companion.mavlink.codec import Message, dialect
 from sitl import rotation
 from sitl.autopilot.autopilot import Autopilot, Mode
 from sitl.fleet import AUTOPILOT_RATE_HZ, Fleet
+from sitl.plant import battery_voltage
 
 HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG, HOME_ALTITUDE_M = -35.363262, 149.165237, 584.0
 BOOT_S = 1.0  # the autopilot's clock when the fleet starts
 _INTERVAL_MAX_US = 3600e6
 _EARTH_RADIUS_M = 6378137.0
 _SERVOS = 16
+_BATTERY_FULL_V, _CONVERTER_V = 22.2, 60.0 / 4096  # six cells; 12 bits of a power module for 60 V
 _CUSTOM_MODE = {Mode.GROUND: 4, Mode.GUIDED: 4, Mode.LAND: 9}
 _KINDS = {
     4: dialect.MAV_TYPE_QUADROTOR,
@@ -119,14 +121,17 @@ class Telemetry:
         )
 
     def _sys_status(self) -> Message:
-        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[self._i]))
         return dialect.MAVLink_sys_status_message(
-            _HEALTHY_SENSORS, _HEALTHY_SENSORS, _HEALTHY_SENSORS, 300, volts, -1, 80, 0, 0, 0, 0, 0, 0
+            _HEALTHY_SENSORS, _HEALTHY_SENSORS, _HEALTHY_SENSORS, 300, self._battery_mv(), -1, 80, 0, 0, 0, 0, 0, 0
         )
 
+    def _battery_mv(self) -> int:
+        """In steps of the converter that measures it."""
+        volts = _BATTERY_FULL_V * float(battery_voltage(self._fleet.state, self._fleet.parameters)[self._i])
+        return round(1e3 * _CONVERTER_V * round(volts / _CONVERTER_V))
+
     def _battery(self) -> Message:
-        volts = round(1e3 * 22.2 * float(self._fleet.state.battery[self._i]))
-        return dialect.MAVLink_battery_status_message(0, 0, 0, 2500, [volts] + [65535] * 9, -1, -1, -1, 80)
+        return dialect.MAVLink_battery_status_message(0, 0, 0, 2500, [self._battery_mv()] + [65535] * 9, -1, -1, -1, 80)
 
     def _extended(self) -> Message:
         flying = self._autopilot.mode[self._i] != Mode.GROUND

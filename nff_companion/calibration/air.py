@@ -10,17 +10,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nff_companion.calibration import model
+from nff_companion.calibration import chain, model
 from nff_companion.calibration.model import Layout
 
+_WIND_S = 0.3  # of the side force: the wind that it shows is no quicker
 _STILL = 1e-3  # least thrust of a rotor over the mean that its speed is taken from
 
 
-def columns(values: NDArray[np.float64], thrust: NDArray[np.float64], layout: Layout) -> list[NDArray[np.float64]]:
+def columns(
+    values: NDArray[np.float64], thrust: NDArray[np.float64], layout: Layout, dt_s: float
+) -> list[NDArray[np.float64]]:
     """(N, c) of each axis: damping by the rate, what side wind and speed do, Euler's part that wrong inertias leave; of
     yaw, damping by the rotors' speed, and by how much more its drag follows the outputs while the vehicle climbs.
 
-    ``values`` (N, 12) as ``chain.measured`` has them, ``thrust`` (N, m) of the rotors, of any scale.
+    ``values`` (N, 12) as ``chain.measured`` has them, ``dt_s`` apart, ``thrust`` (N, m) of the rotors, of any scale.
     """
     one, side, rate, velocity = np.ones(len(values)), values[:, 4:6], values[:, 6:9], values[:, 9:12]
     thrust = thrust / thrust.mean()
@@ -30,11 +33,19 @@ def columns(values: NDArray[np.float64], thrust: NDArray[np.float64], layout: La
     moved = np.column_stack([velocity, climbing]) if velocity.any() else np.zeros((len(values), 0))
     (p, q, r), level, up = rate.T, slice(0, 2), slice(2, 3)
     return [
-        np.column_stack([one, (side**2).sum(axis=1), moved[:, up]]),
+        np.column_stack([one, _of_lift(values, dt_s), moved[:, up]]),
         np.column_stack([damped[:, 0], q * r, side[:, 1], moved[:, level]]),
         np.column_stack([damped[:, 1], r * p, side[:, 0], moved[:, level]]),
         np.column_stack([one, damped[:, 2], p * q, side, moved[:, level], moved[:, 3:], side * _uneven(speed, layout)]),
     ]
+
+
+def _of_lift(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    """(N, 9) Side wind; an accelerometer that is not upright has a share of it, and one beside the middle has what
+    turning does there. The noise of the side force, squared, would hide what the wind does."""
+    side = chain.smoothed_both_ways(values[:, 4:6], dt_s, _WIND_S)
+    p, q, r = values[:, 6:9].T
+    return np.column_stack([(side**2).sum(axis=1), side, values[:, 1:3], p * p, q * q, p * r, q * r])
 
 
 def taken_off(values: NDArray[np.float64], air: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ What is measured and what the outputs should do pass the same filters as in flig
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from scipy.signal import butter, lfilter, lfilter_zi, sosfiltfilt
 
 from nff_companion.calibration.record import Piece
 from nff_companion.core.filters import LowPass, lag_share
+
+_FORGOTTEN_LAGS = 25.0  # e to that is beyond what a number can hold beside 1
+_PARTS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +119,21 @@ def _lagged(commands: NDArray[np.float64], variants: list[Motors], dt_s: float) 
         return np.stack([_smoothed(driven[k : k + 1], float(up[k]))[0] for k in range(len(up))])
     count, samples, motors = commands.shape
     series = np.ascontiguousarray(driven.transpose(1, 0, 2)).reshape(samples, count * motors)
+    # The record in parts at once, each begun so long before that how it began is forgotten.
+    before = round(_FORGOTTEN_LAGS * max(max(v.lag_up_s, v.lag_down_s) for v in variants) / dt_s) + 1
+    length = max(before, math.ceil(samples / _PARTS))
+    begins = np.arange(0, samples, length)
+    at = np.arange(-before, length)[:, None] + begins
+    parts = series[np.clip(at, 0, samples - 1)]  # (before + length, parts, series)
     up_each, down_each = np.repeat(up, motors), np.repeat(down, motors)
-    out = np.empty_like(series)
-    now = series[0].copy()
-    for k in range(samples):
-        ahead = series[k] - now
+    now, out = parts[0].copy(), np.empty((length, *parts.shape[1:]))
+    for k, driven_to in enumerate(parts[1:], start=1):
+        ahead = driven_to - now
         now = now + np.where(ahead > 0.0, up_each, down_each) * ahead
-        out[k] = now
-    return out.reshape(samples, count, motors).transpose(1, 0, 2)
+        if k >= before:
+            out[k - before] = now
+    whole = out.transpose(1, 0, 2).reshape(-1, count * motors)[:samples]
+    return np.asarray(whole.reshape(samples, count, motors).transpose(1, 0, 2))
 
 
 def _low_passed(values: NDArray[np.float64], low_pass: LowPass | None) -> NDArray[np.float64]:

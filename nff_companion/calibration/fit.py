@@ -10,7 +10,8 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from nff_companion.calibration import air, chain, model, noise
-from nff_companion.calibration.lift import SHARE, lift_slope
+from nff_companion.calibration.battery import sag
+from nff_companion.calibration.lift import lift_slope, share_of
 from nff_companion.calibration.model import BELIEVED, Layout, Prior
 from nff_companion.calibration.record import Piece, Record
 
@@ -25,6 +26,7 @@ _CURVE = [model.EXPO, model.IDLE]
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
 _LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.15, 0.03)
+_BLOCK = 512  # rows
 _NO_VEHICLE = 4.0  # deviations of what an owner knows of motors and centre of mass, beyond which it is no news of them
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
 _LEFT_OUT_GAIN, _LEFT_OUT_MOTOR, _LEFT_OUT_CENTRE = 0.04, 0.0, 0.015
@@ -166,7 +168,7 @@ class Problem:
         shape, out = model.shape_of(x, self._layout.full), []
         for values, skip, piece in self._each():
             thrust = chain.shown(piece, [shape], self._filters)[0]
-            out.append(air.columns(values[skip:], thrust[skip:], self._layout))
+            out.append(air.columns(values[skip:], thrust[skip:], self._layout, piece.dt_s))
         return out
 
     def steepness_seen(self, x: NDArray[np.float64]) -> tuple[float, float] | None:
@@ -177,11 +179,16 @@ class Problem:
         skipped = [(values[skip:], skip, piece) for values, skip, piece in self._each()]
         thrust = [chain.shown(piece, [shape], self._filters)[0].mean(axis=1)[skip:] for _, skip, piece in skipped]
         ups, airs = [values[:, 0] for values, _, _ in skipped], [columns[model.THRUST][:, 1:] for columns in self._air]
-        found = lift_slope(ups, thrust, airs, self._pieces[0].dt_s, climbs=airs[0].shape[1] > 1)
+        dt_s, climbs = self._pieces[0].dt_s, bool(self._pieces[0].velocity_m_s.any())
+        battery = sag([piece.battery for piece in self._pieces], thrust, dt_s, self._skip[0] * dt_s)
+        if battery is not None:
+            thrust = [battery.applied(given) for given in thrust]
+        found = lift_slope(ups, thrust, airs, dt_s)
         if found is None:
             return None
         steep, _ = model.steepness(x, self._layout, self.mean_output)
-        return float(np.log(found.ratio / SHARE * steep)), found.deviation
+        share = share_of(climbs=climbs, battery=battery)
+        return float(np.log(found.ratio / share.mean * steep)), float(np.hypot(found.deviation, share.deviation))
 
     def _still(self, values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
         """``values`` (N,) of all pieces, without what the air did, about their mean."""
@@ -210,7 +217,7 @@ class Problem:
             ]
             white = np.concatenate([noise.whitened(c, self._whitening[axis]) for c in columns]) / self._scale[axis]
             given = self._air[0][axis].shape[1]
-            triangle = np.asarray(np.linalg.qr(white, mode="r"))[given:, given:]
+            triangle = _triangle(white)[given:, given:]
             rows.append(triangle[:, -1])
             jacobian.append(-triangle[:, :-1])
         off, prior = (x - self._start)[self.free], self._prior[self.free]
@@ -230,6 +237,14 @@ class Problem:
             left.append(values[skip:, : model.AXES] - value.T)
             slopes.append(derivative)
         return left, slopes
+
+
+def _triangle(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(c, c) upper, with the squares of ``rows`` (N, c); first block by block, as much as a processor's cache holds."""
+    blocks = len(rows) // _BLOCK
+    each = np.linalg.qr(rows[: blocks * _BLOCK].reshape(blocks, _BLOCK, -1), mode="r") if blocks else rows[:0]
+    left = np.concatenate([np.asarray(each).reshape(-1, rows.shape[1]), rows[blocks * _BLOCK :]])
+    return np.asarray(np.linalg.qr(left, mode="r"))
 
 
 def _slow(values: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:

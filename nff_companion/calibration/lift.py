@@ -3,7 +3,7 @@
 What the outputs do to roll, pitch and yaw hangs on the curve and on gains that nobody knows; of lift the gain is known,
 as it carries the weight. The relative change of lift over that of the modelled thrust is regressed, with the noise made
 white, beside what climbing, side wind, and a battery that runs down do. It comes out below the curve's own: under more
-load the battery gives less at once, and the vehicle climbs away from its own downwash.
+load the battery gives less at once (battery.py), and the vehicle climbs away from its own downwash.
 """
 
 from __future__ import annotations
@@ -13,16 +13,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import decimate
 
 from nff_companion.calibration import noise
+from nff_companion.calibration.battery import Sag
 
-# Of what the curve alone would make, by the battery's resistance (5 to 10 % of its voltage at full load, and thrust
-# goes with its square) and by what climbing takes before it is measured; and what is not known of that.
-SHARE, _SHARE_DEVIATION = 0.88, 0.06
-_STILL = 0.12  # the same without a velocity: climbing is not told apart
-_ROUNDS, _MEMORY_S = 3, 0.3
+# Of what the curve alone would make, and the deviation of its logarithm: by what the vehicle does to the air between a
+# change and its measurement, and by gusts that the outputs answer. 19 flights of octo-x, coax-x8 and paper-octo, off
+# from their files, had 0.88 to 0.96 (`nff bench calibration`).
+_AIR = 0.915, 0.025
+_BATTERY = 0.95, 0.04  # the same by a battery whose voltage is not known: 2 to 8 % of it go at full load
+_STILL = 0.10  # deviation without a velocity: climbing is not told apart
+_PERIOD_S = 0.02  # what is quicker is motors' lag, filters and shaking
+_ROUNDS, _MEMORY_S = 6, 0.3
 _LEAST = 0.01  # of the thrust: with less change than that all else that changes the lift is more
 _TINY = 1e-12
+_TAPS = 20  # of the filter, over how many rows become one
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,25 +39,41 @@ class Slope:
     deviation: float
 
 
+@dataclass(frozen=True, slots=True)
+class Share:
+    """Of the curve's own steepness that a change of lift shows, and the deviation of its logarithm."""
+
+    mean: float
+    deviation: float
+
+
+def share_of(*, climbs: bool, battery: Sag | None) -> Share:
+    """``climbs``: with the climb among what the air does; ``battery``: with its sag in the thrust."""
+    (mean, first), second = _AIR, 0.0 if climbs else _STILL
+    if battery is None:
+        return Share(mean * _BATTERY[0], float(np.sqrt(first**2 + second**2 + _BATTERY[1] ** 2)))
+    return Share(mean, float(np.sqrt(first**2 + second**2 + (2.0 * battery.deviation) ** 2)))
+
+
 def lift_slope(
     lift: Sequence[NDArray[np.float64]],
     thrust: Sequence[NDArray[np.float64]],
     air: Sequence[NDArray[np.float64]],
     dt_s: float,
-    *,
-    climbs: bool,
 ) -> Slope | None:
     """Of pieces of a record ``dt_s`` apart: upward specific force (N,), modelled thrust (N,) of any scale, and columns
-    (N, c) of what the air does; ``climbs``: with the climb among them. None where the lift shows nothing."""
-    rows, values = [], []
-    for up, given, columns in zip(lift, thrust, air, strict=True):
+    (N, c) of what the air does. None where the lift shows nothing."""
+    rows, values, many = [], [], max(round(_PERIOD_S / dt_s), 1)
+    order = max(round(_MEMORY_S / (many * dt_s)), 2)
+    least = many * (2 * _TAPS + 2 * order + 2)
+    for piece in zip(lift, thrust, air, strict=True):
+        if len(piece[0]) < least:
+            continue
+        up, given, columns = (_slower(each, many) for each in piece)
         time = np.linspace(-1.0, 1.0, len(up))
         rows.append(np.column_stack([given / given.mean(), np.ones(len(up)), time, columns]))
         values.append(up / up.mean())
-    if np.concatenate([row[:, 0] for row in rows]).std() < _LEAST:
-        return None
-    order = max(round(_MEMORY_S / dt_s), 2)
-    if min(len(part) for part in values) <= 2 * order:
+    if not rows or np.concatenate([row[:, 0] for row in rows]).std() < _LEAST:
         return None
     matrices, sides = list(rows), list(values)
     found, spread = np.zeros(rows[0].shape[1]), 0.0
@@ -69,5 +91,12 @@ def lift_slope(
     ratio = float(found[0])
     if not ratio > 2.0 * spread:
         return None
-    own = _SHARE_DEVIATION if climbs else _STILL
-    return Slope(ratio, float(np.hypot(spread / ratio, own / SHARE)))
+    return Slope(ratio, spread / ratio)
+
+
+def _slower(values: NDArray[np.float64], many: int) -> NDArray[np.float64]:
+    """Every ``many``-th row of ``values`` (N, ...), after what is too quick for that is out; without the ends, where
+    the filter lacks a half."""
+    if many < 2:
+        return values
+    return np.asarray(decimate(values, many, _TAPS * many, "fir", axis=0)[_TAPS:-_TAPS])

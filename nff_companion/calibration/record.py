@@ -15,6 +15,7 @@ _GAP_PERIODS = 3.5  # longer, and a new piece begins
 _PIECE_MIN_S = 3.0
 _ENDS_S = 1.0  # of each piece left out: take-off, landing, what came after a gap
 _FLYING = 0.6  # of the usual output
+NO_BATTERY = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,7 @@ class Piece:
     specific_force_m_s2: NDArray[np.float64]  # (N, 3)
     output: NDArray[np.float64]  # (N, m) 0..1
     velocity_m_s: NDArray[np.float64]  # (N, 3) along the body's axes
+    battery: NDArray[np.float64]  # (B, 2) seconds since the first sample, V at its terminals; no rows: not in the log
 
     @property
     def samples(self) -> int:
@@ -36,7 +38,12 @@ class Piece:
         """Its beginning."""
         n = max(round(seconds / self.dt_s), 1)
         return Piece(
-            self.dt_s, self.gyro_rad_s[:n], self.specific_force_m_s2[:n], self.output[:n], self.velocity_m_s[:n]
+            self.dt_s,
+            self.gyro_rad_s[:n],
+            self.specific_force_m_s2[:n],
+            self.output[:n],
+            self.velocity_m_s[:n],
+            self.battery[self.battery[:, 0] < n * self.dt_s],
         )
 
 
@@ -52,8 +59,13 @@ class Record:
         return sum(piece.samples * piece.dt_s for piece in self.pieces)
 
 
-def record(samples: Sequence[Sample], rate_hz: float | None = None) -> Record:
-    """Pieces of the flying part, without take-off and landing, at the rate of the samples or at ``rate_hz``."""
+def record(
+    samples: Sequence[Sample], rate_hz: float | None = None, battery: NDArray[np.float64] = NO_BATTERY
+) -> Record:
+    """Pieces of the flying part, without take-off and landing, at the rate of the samples or at ``rate_hz``.
+
+    ``battery`` (B, 2): s of the samples' clock, V.
+    """
     known = [s for s in samples if s.armed and s.landed is not True and np.isfinite(s.output).all()]
     if len(known) < 2:
         return Record([])
@@ -71,11 +83,11 @@ def record(samples: Sequence[Sample], rate_hz: float | None = None) -> Record:
     for first, last in pairwise(ends):
         begin, end = np.searchsorted(time_s[first:last], (time_s[first] + _ENDS_S, time_s[last - 1] - _ENDS_S)) + first
         if end - begin > 2 and time_s[end - 1] - time_s[begin] >= _PIECE_MIN_S:
-            pieces.append(_piece(flown[begin:end], time_s[begin:end], dt_s))
+            pieces.append(_piece(flown[begin:end], time_s[begin:end], dt_s, battery))
     return Record(pieces)
 
 
-def _piece(samples: Sequence[Sample], time_s: NDArray[np.float64], dt_s: float) -> Piece:
+def _piece(samples: Sequence[Sample], time_s: NDArray[np.float64], dt_s: float, battery: NDArray[np.float64]) -> Piece:
     at = np.arange(time_s[0], time_s[-1], dt_s)
 
     def even(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -87,6 +99,7 @@ def _piece(samples: Sequence[Sample], time_s: NDArray[np.float64], dt_s: float) 
         specific_force_m_s2=even(np.array([s.specific_force_m_s2 for s in samples])),
         output=even(np.array([s.output for s in samples])),
         velocity_m_s=even(np.array([_velocity(s) for s in samples])),
+        battery=battery[(battery[:, 0] >= time_s[0]) & (battery[:, 0] <= time_s[-1])] - (time_s[0], 0.0),
     )
 
 

@@ -102,7 +102,7 @@ def of_flights(found: list[LogFlight], text: str, vehicle: Vehicle, name: str) -
         rate_hz = rate_of(sample for _, sample in rows)
         if rate_hz < _RATE_MIN_HZ:
             raise NotJudged(f"{flight.name}: inertial samples at {rate_hz:.0f} Hz; {_RATE_MIN_HZ:.0f} Hz are needed")
-        pieces += record([sample for _, sample in rows]).pieces
+        pieces += record([sample for _, sample in rows], battery=read.battery).pieces
     whole = _shortened(Record(pieces), _MOST_S)  # more adds time, and little else
     if whole.duration_s < _LEAST_S:
         raise TooShort(f"{whole.duration_s:.0f} s of flight without gaps; {_LEAST_S:.0f} s or more are needed")

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.calibration.record import NO_BATTERY
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
@@ -57,8 +58,10 @@ _TABLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "ESC": ("ESC", ("Instance", "RPM")),
     "RATE": ("RATE", ("ROut", "POut", "YOut", "AOut")),
     "MOTB": ("MOTB", ("LiftMax", "BatVolt")),
+    "BAT": ("BAT", ("Volt",)),
+    "CURR": ("BAT", ("Volt",)),
 }
-_NOT_NEEDED = ("RATE", "MOTB")  # a record that lacks a field is passed over
+_NOT_NEEDED = ("RATE", "MOTB", "BAT", "CURR")  # a record that lacks a field is passed over
 _OLD_CHANNEL = re.compile(r"C(\d+)")
 
 
@@ -122,6 +125,8 @@ def _take(reader: Any, log: _Log, rows: dict[str, list[list[float]]]) -> None:
         elif getattr(message, "I", 0) == 0 and getattr(message, "C", 0) == 0:
             name, wanted = _TABLES[kind]
             if kind in _NOT_NEEDED and not set(wanted) <= set(fields):
+                continue
+            if name == "BAT" and getattr(message, "Inst", getattr(message, "Instance", 0)) != 0:
                 continue
             rows.setdefault(name, []).append([at_s, *(_value(message, field) for field in wanted)])
 
@@ -250,7 +255,7 @@ def _rows(log: _Log, armings: Table, vehicle: Vehicle, values: Mapping[str, floa
         for k in range(len(time_s))
     ]
     end_s = _valid_until(log, armings, vehicle, channels)
-    return Reading([row for row in rows if row[0] < end_s], name, outputs_hz)
+    return Reading([row for row in rows if row[0] < end_s], name, outputs_hz, tables.get("BAT", NO_BATTERY))
 
 
 def _outputs(

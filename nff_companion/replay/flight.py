@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nff_companion.autopilots.telemetry_decoder import OUTPUT_AGE_MAX_S
+from nff_companion.calibration.record import NO_BATTERY
 from nff_companion.core.sample import Sample
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import NotJudged
@@ -33,11 +34,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Reading:
-    """``rows`` in the order of the log; ``outputs_hz`` at which the message ``outputs`` has the motors' outputs."""
+    """``rows`` in the order of the log; ``outputs_hz`` at which the message ``outputs`` has the motors' outputs;
+    ``battery`` (B, 2): s of the samples' clock, V at its terminals."""
 
     rows: Sequence[Row]
     outputs: str
     outputs_hz: float
+    battery: NDArray[np.float64] = field(default_factory=lambda: NO_BATTERY)
 
 
 @dataclass(frozen=True, kw_only=True)

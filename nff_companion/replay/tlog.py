@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nff_companion.autopilots.adoption import is_vehicle
 from nff_companion.autopilots.telemetry_decoder import TelemetryDecoder
+from nff_companion.calibration.record import NO_BATTERY
 from nff_companion.core.vehicle import TelemetryTable, Vehicle
 from nff_companion.errors import LogError, NotJudged
 from nff_companion.mavlink.codec import Codec, Message, dialect
@@ -27,6 +29,7 @@ _SIGNATURE = 13
 _SIGNED = 0x01
 _LEAST = _STAMP.size + 8
 _DAY_US = 86_400_000_000
+_NO_VOLTAGE_V = 65.5  # and more, in SYS_STATUS: not known
 _SERVOS = 16  # that SERVO_OUTPUT_RAW has
 _MOTORS = {
     dialect.MAV_TYPE_QUADROTOR: 4,
@@ -40,6 +43,7 @@ _TAKEN = frozenset({"HIGHRES_IMU", "SERVO_OUTPUT_RAW", "HEARTBEAT", "PARAM_VALUE
     "LOCAL_POSITION_NED",
     "POSITION_TARGET_LOCAL_NED",
     "EXTENDED_SYS_STATE",
+    "SYS_STATUS",
     "ESC_STATUS",
     "ESC_TELEMETRY_1_TO_4",
     "ESC_TELEMETRY_5_TO_8",
@@ -227,4 +231,14 @@ def _rows(heard: _Heard, vehicle: Vehicle, frame: Frame | None, values: dict[str
         sample = decoder.observe(message)
         if sample is not None:
             rows.append((stamp, sample))
-    return Reading(rows, "SERVO_OUTPUT_RAW", outputs_hz)
+    return Reading(rows, "SERVO_OUTPUT_RAW", outputs_hz, _battery(heard, rows))
+
+
+def _battery(heard: _Heard, rows: list[Row]) -> NDArray[np.float64]:
+    """(B, 2) s of the samples' clock, V."""
+    told = [(s, 1e-3 * m.voltage_battery) for s, m in heard.messages if m.get_type() == "SYS_STATUS"]
+    known = np.array([(s, v) for s, v in told if v < _NO_VOLTAGE_V]).reshape(-1, 2)
+    if not len(known) or not rows:
+        return NO_BATTERY
+    arrived, sampled = np.array([(stamp, sample.time_s) for stamp, sample in rows]).T
+    return np.column_stack([np.interp(known[:, 0], arrived, sampled), known[:, 1]])

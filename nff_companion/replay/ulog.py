@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.calibration.record import NO_BATTERY
 from nff_companion.core.airframe_file import MOTORS_MIN
 from nff_companion.core.vehicle import Vehicle
 from nff_companion.errors import LogError, NotJudged
@@ -143,7 +144,14 @@ def _rows(
         rotor_speed_rad_s=speed,
         rotor_speed_time_s=read_s,
     )
-    return Reading(rows, commands.name, outputs_hz)
+    return Reading(rows, commands.name, outputs_hz, _battery(topics.get(("battery_status", 0))))
+
+
+def _battery(table: Topic | None) -> NDArray[np.float64]:
+    """(B, 2) s, V as measured."""
+    if table is None or "voltage_v" not in table:
+        return NO_BATTERY
+    return np.column_stack([time_of(table), np.asarray(table["voltage_v"], float)])
 
 
 def _asked(

@@ -18,6 +18,7 @@ _STREAMS_HZ = {
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
 }
 _PARAMETERS = ("MOT_THST_EXPO", "MOT_SPIN_MIN", "MOT_SPIN_MAX", "INS_GYRO_FILTER")  # that a log may tell
 _ENDING = 0.45  # of a short flight: the script's, with climb and turns

@@ -110,6 +110,7 @@ def ulog(
     parameters: Mapping[str, float] | None = None,
     leave_out: tuple[str, ...] = (),
     escs: bool = False,
+    battery: bool = False,
 ) -> Path:
     """The recording as a ULog."""
     outputs = outputs or Outputs()
@@ -124,11 +125,14 @@ def ulog(
     log.describe("vehicle_local_position", "float x;float y;float z;float vx;float vy;float vz")
     if escs:
         log.describe("esc_status", ";".join(f"int32_t esc[{k}].esc_rpm" for k in range(8)))
+    if battery:
+        log.describe("battery_status", "float voltage_v;float voltage_filtered_v")
     idle = log.subscribe(outputs.topic, 0) if outputs.idle_instance else 0
     motors = log.subscribe(outputs.topic, int(outputs.idle_instance))
     kinds = ("sensor_combined", "actuator_armed", "vehicle_attitude", "vehicle_local_position")
     ids = {kind: log.subscribe(kind) for kind in kinds if kind not in leave_out}
     esc = log.subscribe("esc_status") if escs else 0
+    power = [log.subscribe("battery_status", k) for k in range(2)] if battery else []
     now, count, driven, first_us = 0, 0, 0, 0
     for _, _, m in records():
         kind = m.get_type()
@@ -151,6 +155,8 @@ def ulog(
                 log.data(esc, m.time_usec + offset_us, "8i", *speeds)
         elif kind == "HEARTBEAT" and now and "actuator_armed" in ids:
             log.data(ids["actuator_armed"], now, "?", bool(m.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
+            for k, each in enumerate(power):
+                log.data(each, now, "2f", 22.0 - k, 23.0)
         elif kind == "ATTITUDE_QUATERNION" and "vehicle_attitude" in ids:
             log.data(ids["vehicle_attitude"], 1000 * m.time_boot_ms + offset_us, "4f", m.q1, m.q2, m.q3, m.q4)
         elif kind == "LOCAL_POSITION_NED" and "vehicle_local_position" in ids:
@@ -169,6 +175,7 @@ _BIN = {
     "XKF1": (6, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
     "RATE": (7, "Qffff", "TimeUS,ROut,POut,YOut,AOut"),
     "MOTB": (8, "Qff", "TimeUS,LiftMax,BatVolt"),
+    "BAT": (9, "QBff", "TimeUS,Inst,Volt,VoltR"),
 }
 _BYTES = {"Q": "Q", "B": "B", "f": "f", "H": "H", "N": "16s", "I": "I"}
 _HEAD = b"\xa3\x95"
@@ -211,6 +218,7 @@ def dataflash(  # noqa: PLR0913, one for each thing that is changed
     old: bool = False,
     junk_at_s: float | None = None,
     junk: bytes = b"",
+    battery: bool = False,
 ) -> Path:
     """The recording as an ArduPilot log; ``changes`` of parameters (s from the beginning, name, value)."""
     log = DataFlashFile(old=old)
@@ -220,7 +228,7 @@ def dataflash(  # noqa: PLR0913, one for each thing that is changed
     for name, value in (GOOD_PARAMETERS if parameters is None else parameters).items():
         log.add("PARM", first_us, name.encode(), value)
     waiting, driven, spoilt = sorted(changes), 0, junk_at_s is None
-    for _, _, m in rows:
+    for stamp, _, m in rows:
         kind = m.get_type()
         if kind == "HIGHRES_IMU" and "IMU" not in leave_out:
             since_s = 1e-6 * (m.time_usec - first_us)
@@ -238,6 +246,9 @@ def dataflash(  # noqa: PLR0913, one for each thing that is changed
             for motor, channel in enumerate(channels):
                 pulses[channel] = getattr(m, f"servo{motor + 1}_raw")
             log.add("RCOU", m.time_usec, *pulses)
+        elif kind == "HEARTBEAT" and battery:
+            for k in range(2):
+                log.add("BAT", first_us + round(1e6 * (stamp - rows[0][0])), k, 22.0 - k, 23.0)
         elif kind == "ATTITUDE_QUATERNION":
             log.add("XKQ", 1000 * m.time_boot_ms, 0, m.q1, m.q2, m.q3, m.q4)
         elif kind == "LOCAL_POSITION_NED":
