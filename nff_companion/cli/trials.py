@@ -40,7 +40,9 @@ def survey(
     network: Annotated[str, typer.Option(help="Basis: airframe, none, drag, a shipped name or a file.")] = "airframe",
     joint: Annotated[float, typer.Option(help="Losses and an error of phi a together; 0: in turn.")] = 0.0,
     mode: Annotated[str, typer.Option(help="observe, allocate or override.")] = "allocate",
-    detector: Annotated[str, typer.Option(help="sparse, or a peer: published, imm, rls, thrust-loss.")] = "sparse",
+    detector: Annotated[
+        str, typer.Option(help="sparse, or a peer: published, imm, rls, thrust-loss, current.")
+    ] = "sparse",
     personality: Annotated[
         str, typer.Option(help="plain; ardupilot: on the wire, with our applet in a real Lua; px4: emulated.")
     ] = "plain",

@@ -157,7 +157,7 @@ def _build(
     )
     model = vehicle_model.load(options.airframe, thrust_to_weight=options.thrust_to_weight)
     personality = prepared(options.personality, model, TrialOptions().allocation, card)
-    detector = detector_of(options.detector, options.joint)
+    detector = detector_of(options.detector, options.joint, rotor_speeds=options.rotor_speeds)
     chosen = TrialOptions(mode=options.mode, network=options.network, parts=detector.parts, tuning=detector.tuning)
     return VirtualFlight(
         Fleet(nominal, fleet_options, faults),

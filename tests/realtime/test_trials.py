@@ -17,10 +17,12 @@ from sitl.trials.survey import SurveyOptions, failure_sets, run, summary
 NFF = [sys.executable, "-m", "nff_companion.cli.main"]
 
 
-@pytest.mark.parametrize("detector", ["sparse", "imm", "rls"])
+@pytest.mark.parametrize("detector", ["sparse", "imm", "rls", "current"])
 def test_a_survey_flies_every_contender_on_the_same_seeds(detector: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(survey, "FLY_ON_S", 3.0)
-    document = run(SurveyOptions(seeds=1, first_seed=2, detector=detector), [(3,)], workers=1)
+    document = run(
+        SurveyOptions(seeds=1, first_seed=2, detector=detector, rotor_speeds=detector == "current"), [(3,)], workers=1
+    )
     (flight,) = document["flights"]
     assert flight["seed"] == 2
     assert flight["motors"] == [3]
@@ -67,6 +69,8 @@ def test_failures_are_read_as_motor_at_seconds() -> None:
 
 
 def test_an_unknown_detector_is_named_with_the_choices() -> None:
+    with pytest.raises(ConfigError, match="rotor speeds"):
+        detector_of("current")
     with pytest.raises(ConfigError, match="sparse, published, imm"):
         detector_of("oracle")
 

@@ -45,7 +45,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
         gusts=gusts(both),
     )
     plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(both))
-    detector = detector_of(scenario.detector)
+    detector = detector_of(scenario.detector, rotor_speeds=scenario.rotor_speeds)
     trial = TrialOptions(mode=Mode.ALLOCATE, network=scenario.network, parts=detector.parts, tuning=detector.tuning)
     with temporary_card() as card:
         autopilot = prepared(scenario.personality, vehicles.load(airframe), TrialOptions().allocation, card)
@@ -57,6 +57,7 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
             link_delay_s=scenario.link_delay_s,
             workshop=autopilot.workshop,
             px4=autopilot.px4,
+            rotor_speeds=scenario.rotor_speeds,
         )
         record = _flown(flight, both)
     rows = []

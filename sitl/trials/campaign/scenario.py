@@ -57,7 +57,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     link_delay_s: Annotated[float, span(0.0, 0.1, "s", "each way")] = 0.01
     personality: Literal["plain", "ardupilot", "px4"] = "plain"
     network: Name = "airframe"
-    detector: Literal["sparse", "published", "imm", "rls", "thrust-loss"] = "sparse"  # what identifies: ours, or a peer
+    detector: Literal["sparse", "published", "imm", "rls", "thrust-loss", "current"] = "sparse"  # or a peer
+    rotor_speeds: bool = False  # the ESCs report them
     batch: Annotated[int, span(1, 1000, "flights", "that are flown together")] = 20
 
 

@@ -1,4 +1,5 @@
-"""Peers that name a motor by a threshold: recursive least squares, and ArduPilot's own check for a loss of thrust."""
+"""Peers that name a motor by a threshold: recursive least squares, and the autopilots' own checks for a loss of thrust
+and for a motor that draws no current."""
 
 from __future__ import annotations
 
@@ -20,6 +21,8 @@ _LOST = 0.5  # effectiveness below which a motor is named
 
 # ArduCopter/crash_check.cpp, thrust_loss_check.
 _THROTTLE, _LEAN_DEG = 0.9, 15.0
+# PX4 v1.16, failure_detector.cpp, updateMotorStatus: FD_ACT_MOT_THR, FD_ACT_MOT_TOUT.
+_DRIVEN, _NO_CURRENT_S = 0.2, 0.1
 
 
 class LeastSquares(PeerEstimator):
@@ -89,3 +92,31 @@ class ThrustLoss(PeerEstimator):
             lost = math.degrees(float(rotation.tilt_of(motion.quaternion[None])[0])) < _LEAN_DEG
         named = int(asked.argmax()) if lost else -1
         return Look(asked, named, 1.0, np.ones(len(asked)), np.zeros(len(residual)))
+
+
+class Current(PeerEstimator):
+    """PX4's check: a motor that is driven and draws hardly any current for a tenth of a second. A motor that stands
+    still draws none, and one that turns more than that check asks for: so it goes by the rotor speeds that the ESCs
+    tell, and without them names nothing. No ``memory``."""
+
+    confirm_s = _NO_CURRENT_S
+
+    def memory(self) -> None:
+        """Nothing is kept."""
+
+    def look(
+        self,
+        memory: Any,
+        residual: NDArray[np.float64],
+        thrust: NDArray[np.float64],
+        measurement: Measurement,
+        failed: NDArray[np.bool_],
+    ) -> Look:
+        """The first that stands still while it is driven."""
+        m, named = self.vehicle.motors, -1
+        if measurement.stopped is not None:
+            still = measurement.stopped & ~failed & (measurement.command > _DRIVEN)
+            named = int(still.argmax()) if still.any() else -1
+        eta = np.ones(m)
+        eta[named] = 0.0 if named >= 0 else 1.0
+        return Look(None, named, 1.0, eta, np.zeros(len(residual)))
