@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nff_companion.admission import again, follows, refusal
 from nff_companion.allocation import allocator
+from nff_companion.allocation.handover import Handover
 from nff_companion.allocation.planner import Planner
 from nff_companion.allocation.probe import Prober
 from nff_companion.companion_state import NO_ORDERS, CompanionState, Orders, Output, trusts
@@ -65,6 +66,7 @@ class Companion:
         )
         self._phase = FlightPhase(vehicle, o.flight_phase)
         self._planner = Planner(vehicle, allocator(allocation), o.planner, parts.target, Prober(vehicle, o))
+        self._handover = Handover(vehicle, o)
         # Without a network neither the matrix in force nor what the vehicle does has a part in the estimate.
         self._only_judges = parts.judged and basis is None
         self._loop = OverrideLoop(vehicle, o.law, o.override)
@@ -103,6 +105,7 @@ class Companion:
             failed=output.failed,
             last=output,
             planning=self._planner.start(),
+            handover=self._handover.start(),
             speeds=RotorSpeedState.start(self.vehicle.motors),
             knowledge=self._nothing,
             adapted=None if self._adaptation is None else self._adaptation.start(),
@@ -243,12 +246,15 @@ class Companion:
             state, estimate = self._held_back(state, estimate, time_s)
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
-        planning, adapted = state.planning, state.adapted
+        planning, handover, adapted = state.planning, state.handover, state.adapted
         if trusted and not self._only_judges:
             partial = estimate.settled and self._fits_closely(fit, confirmed=state.confirmed)
             driven = override is not None
-            tests = acting(state, condition) != Mode.OBSERVE and (condition.takes_matrix or driven)
+            mode = acting(state, condition)
+            tests = mode != Mode.OBSERVE and (condition.takes_matrix or driven)
             planning = self._planner.step(planning, time_s, estimate, trust_partial=partial, driven=driven, tests=tests)
+            mixes = mode != Mode.OBSERVE and condition.takes_matrix and not driven
+            handover = self._handover.step(handover, time_s, gap, estimate, planning, in_force=mixes)
         if self._adaptation is not None:
             adapted = self._adaptation.step(adapted, estimate, gap)
         state = replace(
@@ -263,6 +269,7 @@ class Companion:
             failed=failed,
             either=estimate.either,
             planning=planning,
+            handover=handover,
             knowledge=self._known(estimate),
             adapted=adapted,
             trouble=None if recovered else Statement(Reason.RECOVERING),
@@ -373,6 +380,7 @@ class Companion:
             fit=self._fit.paused(state.fit),
             wear=self._wear.paused(state.wear),
             planning=self._planner.interrupted(state.planning),
+            handover=self._handover.start(),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
 
@@ -388,6 +396,7 @@ class Companion:
             either=(),
             weak=partial_loss.NOTHING,
             planning=self._planner.forgotten(state.planning),
+            handover=self._handover.start(),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
 

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from nff_companion.allocation.handover import HandoverState
 from nff_companion.allocation.plan import Plan
 from nff_companion.allocation.planner import PlannerState
 from nff_companion.condition import Mode, Reason, Statement, read_only
@@ -90,6 +91,7 @@ class CompanionState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     phase: FlightPhaseState = msgspec.field(default_factory=FlightPhaseState)
     estimate: EstimatorState | None = None
     planning: PlannerState
+    handover: HandoverState  # of what was planned to the autopilot
     loop: OverrideState = msgspec.field(default_factory=OverrideState)
     speeds: RotorSpeedState
     knowledge: Knowledge

@@ -109,3 +109,23 @@ def moved(
     active = np.any(plan.effectiveness != 0.0, axis=0)
     fault = fault_of(matrix, Problem(effectiveness=plan.effectiveness, hover=hover, active=active, kept=kept), tuning)
     return replace(plan, matrix=read_only(matrix)) if fault is None else Refusal(reason=fault)
+
+
+def carried(
+    plan: Plan, wrench: NDArray[np.float64], thrust: float, hover: float, tuning: PlannerTuning = DEFAULT.planner
+) -> Plan:
+    """``plan`` that gives ``wrench`` (n,) less than is asked for, while the thrust asked for is ``thrust``: through the
+    column of thrust; as much of it as may be sent."""
+    kept = np.ones(len(plan.effectiveness), bool)
+    kept[list(plan.released)] = False
+    active = np.any(plan.effectiveness != 0.0, axis=0)
+    problem = Problem(effectiveness=plan.effectiveness, hover=hover, active=active, kept=kept)
+    for refused in range(tuning.carry_steps):
+        less = (1.0 - refused / tuning.carry_steps) * wrench / thrust
+        matrix = np.array(plan.matrix)
+        matrix[:, 0] -= matrix @ less
+        wanted = np.eye(len(wrench))
+        wanted[:, 0] -= less
+        if fault_of(matrix, problem, tuning, wanted) is None:
+            return replace(plan, matrix=read_only(matrix))
+    return plan

@@ -9,10 +9,16 @@ from nff_companion.allocation.problem import Problem
 from nff_companion.core.tuning import DEFAULT, PlannerTuning
 
 
-def fault_of(matrix: NDArray[np.float64], problem: Problem, tuning: PlannerTuning = DEFAULT.planner) -> str | None:
+def fault_of(
+    matrix: NDArray[np.float64],
+    problem: Problem,
+    tuning: PlannerTuning = DEFAULT.planner,
+    wanted: NDArray[np.float64] | None = None,
+) -> str | None:
     """What is wrong with A (m, n) for ``problem``; None when it may be used.
 
-    Checks: shape, finite, B A = I on the axes kept, gain bound, removed motors idle, hover within 0..1.
+    Checks: shape, finite, B A = ``wanted`` (n, n; None: I) on the axes kept, gain bound, removed motors idle, hover
+    within 0..1.
     """
     axes, motors = problem.effectiveness.shape
     if matrix.shape != (motors, axes):
@@ -23,9 +29,10 @@ def fault_of(matrix: NDArray[np.float64], problem: Problem, tuning: PlannerTunin
     if largest > tuning.gain_max:
         return f"gain {largest:.1f} exceeds {tuning.gain_max}"
     kept = problem.kept
-    error = float(np.abs((problem.effectiveness @ matrix)[np.ix_(kept, kept)] - np.eye(int(kept.sum()))).max())
+    wanted = np.eye(axes) if wanted is None else wanted
+    error = float(np.abs((problem.effectiveness @ matrix - wanted)[np.ix_(kept, kept)]).max())
     if error > tuning.identity_tolerance:
-        return f"B A differs from I by {error:.1e}"
+        return f"B A differs from what it should be by {error:.1e}"
     if np.any(matrix[~problem.active] != 0.0):
         return "a removed motor is driven"
     trim = matrix[:, 0] * problem.hover

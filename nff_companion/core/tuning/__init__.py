@@ -14,6 +14,7 @@ import msgspec
 from nff_companion.core.tuning.action import (
     CompanionTuning,
     FlightPhaseTuning,
+    HandoverTuning,
     LawTuning,
     OverrideTuning,
     PlannerTuning,
@@ -48,6 +49,7 @@ __all__ = [
     "EstimatorTuning",
     "FitTuning",
     "FlightPhaseTuning",
+    "HandoverTuning",
     "LawTuning",
     "NetworkTuning",
     "OnsetTuning",
@@ -87,6 +89,7 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     proposal: ProposalTuning = ProposalTuning()
     wear: WearTuning = WearTuning()
     planner: PlannerTuning = PlannerTuning()
+    handover: HandoverTuning = HandoverTuning()
     probe: ProbeTuning = ProbeTuning()
     override: OverrideTuning = OverrideTuning()
     law: LawTuning = LawTuning()

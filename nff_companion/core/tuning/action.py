@@ -99,9 +99,28 @@ class PlannerTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         float,
         span(1.5, 20.0, "", "largest entry of A sent; 1 is the healthy octorotor's, with two dead it stays below 3"),
     ] = 6.0
+    carry_steps: Annotated[
+        int, span(1, 20, "steps", "in which less is carried over to the autopilot where motors would leave their range")
+    ] = 4
     identity_tolerance: Annotated[float, span(1e-9, 1e-3, "", "largest entry of B A - I of a matrix that is sent")] = (
         1e-6
     )
+
+
+class HandoverTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a matrix is given over to an autopilot that has long made up for the motor (allocation/handover.py)."""
+
+    wind_up_s: Annotated[
+        float, span(0.05, 5.0, "s", "twice, in which the autopilot's integrators make up for what motors lack")
+    ] = 0.08
+    let_go_s: Annotated[float, span(0.1, 20.0, "s", "in which they follow when that is let go")] = 5.0
+    refresh_s: Annotated[float, span(0.01, 0.5, "s", "between two matrices while it is let go")] = 0.05
+    least: Annotated[
+        float, span(1e-4, 0.1, "", "of an axis' full thrust or torque: less than this is let go at once")
+    ] = 0.004
+    known_min: Annotated[
+        float, span(0.01, 1.0, "", "of the lag, that must have been seen: before, noise would be taken for it")
+    ] = 0.1
 
 
 class OverrideTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

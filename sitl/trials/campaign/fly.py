@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nff_companion.companion_state import Output
+from nff_companion.companion_state import Orders, Output
 from nff_companion.condition import Mode
 from nff_companion.core import vehicle as vehicles
 from nff_companion.verdict import numbers
@@ -46,7 +46,8 @@ def fly(scenario: Scenario, flights: tuple[int, ...]) -> list[dict[str, Any]]:
     )
     plants = plant_airframe.load(vehicles.path_of(airframe), vehicles=len(both))
     detector = detector_of(scenario.detector, rotor_speeds=scenario.rotor_speeds)
-    trial = TrialOptions(mode=Mode.ALLOCATE, network=scenario.network, parts=detector.parts, tuning=detector.tuning)
+    mode = Mode.OBSERVE if cases[0].act_after_s > 0.0 else Mode.ALLOCATE
+    trial = TrialOptions(mode=mode, network=scenario.network, parts=detector.parts, tuning=detector.tuning)
     with temporary_card() as card:
         autopilot = prepared(scenario.personality, vehicles.load(airframe), TrialOptions().allocation, card)
         flight = VirtualFlight(
@@ -167,10 +168,14 @@ class Record:
 
 def _flown(flight: VirtualFlight, cases: list[Case]) -> Record:
     fleet, record = flight.fleet, Record(cases)
+    waiting = [k for k in range(len(flight.companions)) if cases[k].act_after_s > 0.0]
     pilots, events = Pilots(fleet, cases), Events(flight, cases)
     for _ in range(math.ceil(max(case.until_s for case in cases) * AUTOPILOT_RATE_HZ)):
         pilots.step(fleet.time_s)
         events.step(fleet.time_s)
+        for k in [k for k in waiting if fleet.time_s >= cases[k].at_s + cases[k].act_after_s]:
+            flight.companions[k].order(Orders(mode=Mode.ALLOCATE))
+            waiting.remove(k)
         flight.step()
         record.note(flight)
     return record

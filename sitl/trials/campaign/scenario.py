@@ -51,6 +51,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     apart: bool = False  # a fault or an event, never both in one flight
     at_s: tuple[Seconds, Seconds] = (5.0, 10.0)  # of fault or event
     fly_on_s: Annotated[float, span(0.5, 600.0, "s", "after it")] = 8.0
+    act_after_s: tuple[Seconds, Seconds] = (0.0, 0.0)  # the fault: until then it observes; 0: it acts from the start
     wind_m_s: tuple[Speed, Speed] = (4.0, 4.0)
     turbulence_share: Annotated[float, span(0.0, 0.5, "", "of the wind")] = 0.25
     rate_hz: Annotated[float, span(50.0, 400.0, "Hz", "telemetry")] = 200.0
@@ -79,6 +80,7 @@ class Case:
     until_s: float
     wind_m_s: float
     seed: int
+    act_after_s: float = 0.0
 
     def row(self) -> dict[str, Any]:
         """For a table."""
@@ -92,7 +94,7 @@ def read(path: Path) -> Scenario:
     for key in ("airframes", "manoeuvres", "faults", "events"):
         if not getattr(scenario, key):
             raise ConfigError(f"campaign {path}: {key} is empty: name one or more")
-    for key in ("left", "duration_s", "at_s", "wind_m_s"):
+    for key in ("left", "duration_s", "at_s", "act_after_s", "wind_m_s"):
         low, high = getattr(scenario, key)
         if low > high:
             raise ConfigError(f"campaign {path}: {key} = [{low}, {high}]: the first must not be above the second")
@@ -129,6 +131,10 @@ def drawn(scenario: Scenario, flight: int) -> Case:
     seed = int(draw.integers(2**31))
     if kind in _LEFT:
         left = draw.uniform(*_LEFT[kind])
+    act_after_s = scenario.act_after_s[1]
+    if act_after_s > 0.0:  # by a draw of its own: all else is as where it acts from the start
+        soonest, latest = (math.log(max(after_s, 1e-2)) for after_s in scenario.act_after_s)
+        act_after_s = math.exp(np.random.default_rng([scenario.seed, flight, 1]).uniform(soonest, latest))
     return Case(
         flight=flight,
         airframe=scenario.airframes[airframe],
@@ -143,6 +149,7 @@ def drawn(scenario: Scenario, flight: int) -> Case:
         until_s=at_s + scenario.fly_on_s,
         wind_m_s=wind_m_s,
         seed=seed,
+        act_after_s=act_after_s,
     )
 
 

@@ -30,6 +30,7 @@ _TYPES = {
     "until_s": "double",
     "wind_m_s": "double",
     "seed": "int64",
+    "act_after_s": "double",
     "level": "string",
     "named": "list<int64>",
     "either": "list<int64>",
