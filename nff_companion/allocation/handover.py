@@ -75,6 +75,8 @@ class Handover:
         lacking = -estimate.residual
         if True in estimate.failed.tolist():  # which the residual leaves out
             lacking = lacking + self._accelerations @ (estimate.thrust_shown * estimate.failed)
+        if not math.isfinite(float(lacking.sum())):
+            return state  # it would stay for the whole flight
         share = -math.expm1(-dt_s / self._tuning.wind_up_s)
         first = state.lag[0] + share * (lacking - state.lag[0])
         second = state.lag[1] + share * (first - state.lag[1])
