@@ -247,6 +247,8 @@ class Companion:
         recovered = time_s - good_since >= self.tuning.companion.recover_s
         failed = state.failed if estimate.failed is state.failed else read_only(estimate.failed)
         planning, handover, adapted = state.planning, state.handover, state.adapted
+        if not trusted:
+            handover = self._handover.start()
         if trusted and not self._only_judges:
             partial = estimate.settled and self._fits_closely(fit, confirmed=state.confirmed)
             driven = override is not None
@@ -380,7 +382,7 @@ class Companion:
             fit=self._fit.paused(state.fit),
             wear=self._wear.paused(state.wear),
             planning=self._planner.interrupted(state.planning),
-            handover=self._handover.start(),
+            handover=self._handover.interrupted(state.handover),
             adapted=None if self._adaptation is None else self._adaptation.start(),
         )
 

@@ -98,7 +98,7 @@ class Outcome:
             deviation=deviation,
             degraded=self._no_motor if planning.untouched else _shut(planning.degraded & ~failed),
             events=() if estimate is None or time_s is None else tuple(estimate.events),
-            plan=(state.handover.plan or planning.plan) if mode != Mode.OBSERVE else None,
+            plan=state.handover.told(planning.plan) if mode != Mode.OBSERVE else None,
             override=override if mode == Mode.OVERRIDE else None,
             estimate=estimate,
             unallocated=self._none if planning.plan is None else planning.plan.unallocated,

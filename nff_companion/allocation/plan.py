@@ -126,6 +126,8 @@ def carried(
         matrix[:, 0] -= matrix @ less
         wanted = np.eye(len(wrench))
         wanted[:, 0] -= less
-        if fault_of(matrix, problem, tuning, wanted) is None:
+        demand = (1.0 - refused / tuning.carry_steps) * wrench
+        demand[0] += hover  # as it is asked for by now
+        if fault_of(matrix, problem, tuning, wanted, demand) is None:
             return replace(plan, matrix=read_only(matrix))
     return plan

@@ -14,11 +14,12 @@ def fault_of(
     problem: Problem,
     tuning: PlannerTuning = DEFAULT.planner,
     wanted: NDArray[np.float64] | None = None,
+    demand: NDArray[np.float64] | None = None,
 ) -> str | None:
     """What is wrong with A (m, n) for ``problem``; None when it may be used.
 
-    Checks: shape, finite, B A = ``wanted`` (n, n; None: I) on the axes kept, gain bound, removed motors idle, hover
-    within 0..1.
+    Checks: shape, finite, B A = ``wanted`` (n, n; None: I) on the axes kept, gain bound, removed motors idle,
+    thrusts within 0..1 at ``demand`` (n,; None: hover).
     """
     axes, motors = problem.effectiveness.shape
     if matrix.shape != (motors, axes):
@@ -35,7 +36,7 @@ def fault_of(
         return f"B A differs from what it should be by {error:.1e}"
     if np.any(matrix[~problem.active] != 0.0):
         return "a removed motor is driven"
-    trim = matrix[:, 0] * problem.hover
+    trim = matrix[:, 0] * problem.hover if demand is None else matrix @ demand
     if trim.min() < -1e-9 or trim.max() > 1.0 + 1e-9:
         return f"hover needs motor thrusts from {trim.min():.2f} to {trim.max():.2f}, outside 0..1"
     return None

@@ -115,9 +115,10 @@ class HandoverTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     ] = 0.08
     let_go_s: Annotated[float, span(0.1, 20.0, "s", "in which they follow when that is let go")] = 5.0
     refresh_s: Annotated[float, span(0.01, 0.5, "s", "between two matrices while it is let go")] = 0.05
-    least: Annotated[
-        float, span(1e-4, 0.1, "", "of an axis' full thrust or torque: less than this is let go at once")
-    ] = 0.004
+    holds_s: Annotated[
+        float, span(0.0, 5.0, "s", "that a matrix holds in the autopilot which is no longer told: then it is forgotten")
+    ] = 0.5
+    least: Annotated[float, span(1e-4, 0.1, "", "of an axis' full torque: less than this is let go at once")] = 0.004
     known_min: Annotated[
         float, span(0.01, 1.0, "", "of the lag, that must have been seen: before, noise would be taken for it")
     ] = 0.1
