@@ -24,8 +24,6 @@ from nff_companion.core.mates import HALF
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import THRUST, Vehicle
 
-_JITTER_S = 1e-6  # of the autopilot's clock
-
 
 class HandoverState(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """``lag`` (2, n) what the motors lack of what the mixing in force counts on, m/s^2 and rad/s^2, once and twice
@@ -88,7 +86,7 @@ class Handover:
         if base is not state.base:
             state = self._taken_off(state, base, time_s, estimate)
         sent = planning.plan or base
-        due = not 0.0 <= time_s - state.made_s < self._tuning.refresh_s - _JITTER_S
+        due = not 0.0 <= time_s - state.made_s < self._tuning.refresh_s
         if sent is not state.made_of or (state.plan is not None and due):
             return self._made(state, sent, time_s, estimate)
         return state

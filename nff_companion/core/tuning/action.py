@@ -114,7 +114,9 @@ class HandoverTuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         float, span(0.05, 5.0, "s", "twice, in which the autopilot's integrators make up for what motors lack")
     ] = 0.08
     let_go_s: Annotated[float, span(0.1, 20.0, "s", "in which they follow when that is let go")] = 5.0
-    refresh_s: Annotated[float, span(0.01, 0.5, "s", "between two matrices while it is let go")] = 0.05
+    refresh_s: Annotated[float, span(0.01, 0.5, "s", "between two matrices while it is let go: as they are told")] = (
+        0.048
+    )
     holds_s: Annotated[
         float, span(0.0, 5.0, "s", "that a matrix holds in the autopilot which is no longer told: then it is forgotten")
     ] = 0.5
