@@ -18,19 +18,20 @@ _STILL = 1e-3  # least thrust of a rotor over the mean that its speed is taken f
 
 
 def columns(
-    values: NDArray[np.float64], thrust: NDArray[np.float64], layout: Layout, dt_s: float
+    values: NDArray[np.float64], thrust: NDArray[np.float64], layout: Layout, dt_s: float, *, climbs: bool
 ) -> list[NDArray[np.float64]]:
     """(N, c) of each axis: damping by the rate, what side wind and speed do, Euler's part that wrong inertias leave; of
     yaw, damping by the rotors' speed, and by how much more its drag follows the outputs while the vehicle climbs.
 
     ``values`` (N, 12) as ``chain.measured`` has them, ``dt_s`` apart, ``thrust`` (N, m) of the rotors, of any scale.
+    ``climbs``: the velocity is known.
     """
     one, side, rate, velocity = np.ones(len(values)), values[:, 4:6], values[:, 6:9], values[:, 9:12]
     thrust = thrust / thrust.mean()
     speed = np.sqrt(np.maximum(thrust, _STILL))
     damped = rate * speed.mean(axis=1, keepdims=True)
     climbing = velocity[:, 2] * (thrust @ layout.rows[model.YAW])
-    moved = np.column_stack([velocity, climbing]) if velocity.any() else np.zeros((len(values), 0))
+    moved = np.column_stack([velocity, climbing]) if climbs else np.zeros((len(values), 0))
     (p, q, r), level, up = rate.T, slice(0, 2), slice(2, 3)
     return [
         np.column_stack([one, _of_lift(values, dt_s), moved[:, up]]),

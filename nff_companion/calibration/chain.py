@@ -121,6 +121,7 @@ def _lagged(commands: NDArray[np.float64], variants: list[Motors], dt_s: float) 
     series = np.ascontiguousarray(driven.transpose(1, 0, 2)).reshape(samples, count * motors)
     # The record in parts at once, each begun so long before that how it began is forgotten.
     before = round(_FORGOTTEN_LAGS * max(max(v.lag_up_s, v.lag_down_s) for v in variants) / dt_s) + 1
+    before = min(before, samples)
     length = max(before, math.ceil(samples / _PARTS))
     begins = np.arange(0, samples, length)
     at = np.arange(-before, length)[:, None] + begins

@@ -25,7 +25,8 @@ _TURNING = (model.ROLL, model.PITCH, model.YAW)
 _CURVE = [model.EXPO, model.IDLE]
 # What the model leaves out of a flight moves the numbers by so much more than noise does, as the flights of
 # `nff bench calibration` show: deviations of delay (s), log lag, its asymmetry, expo, idle; log gain, motor, centre.
-_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.15, 0.03)
+_LEFT_OUT_SHAPE = (0.0012, 0.05, 0.03, 0.08, 0.06)
+_SAME_RATE = 1e-3  # of two pieces' samples
 _BLOCK = 512  # rows
 _NO_VEHICLE = 4.0  # deviations of what an owner knows of motors and centre of mass, beyond which it is no news of them
 _UNSEEN = 0.5  # deviation of a logarithm that nothing was seen of
@@ -75,6 +76,7 @@ class Problem:
         self.free = np.flatnonzero(prior > 0.0)
         self._shape_free = self.free[self.free < model.SHAPE]
         self._pieces = record.pieces
+        self._climbs = all(bool(piece.velocity_m_s.any()) for piece in record.pieces)  # the velocity is known
         self._measured = [chain.measured(piece, filters, inertia) for piece in record.pieces]
         self._mean = np.array(float(np.mean(np.concatenate([piece.output.mean(axis=1) for piece in record.pieces]))))
         self._skip = [round(_SETTLE_S / piece.dt_s) for piece in record.pieces]
@@ -168,7 +170,7 @@ class Problem:
         shape, out = model.shape_of(x, self._layout.full), []
         for values, skip, piece in self._each():
             thrust = chain.shown(piece, [shape], self._filters)[0]
-            out.append(air.columns(values[skip:], thrust[skip:], self._layout, piece.dt_s))
+            out.append(air.columns(values[skip:], thrust[skip:], self._layout, piece.dt_s, climbs=self._climbs))
         return out
 
     def steepness_seen(self, x: NDArray[np.float64]) -> tuple[float, float] | None:
@@ -179,15 +181,19 @@ class Problem:
         skipped = [(values[skip:], skip, piece) for values, skip, piece in self._each()]
         thrust = [chain.shown(piece, [shape], self._filters)[0].mean(axis=1)[skip:] for _, skip, piece in skipped]
         ups, airs = [values[:, 0] for values, _, _ in skipped], [columns[model.THRUST][:, 1:] for columns in self._air]
-        dt_s, climbs = self._pieces[0].dt_s, bool(self._pieces[0].velocity_m_s.any())
-        battery = sag([piece.battery for piece in self._pieces], thrust, dt_s, self._skip[0] * dt_s)
+        steps_s = [piece.dt_s for piece in self._pieces]
+        late_s = [skip * dt_s for skip, dt_s in zip(self._skip, steps_s, strict=True)]
+        battery = sag([piece.battery for piece in self._pieces], thrust, steps_s, late_s)
         if battery is not None:
             thrust = [battery.applied(given) for given in thrust]
-        found = lift_slope(ups, thrust, airs, dt_s)
+        # Two logs may be of different rates: the longest piece's counts.
+        dt_s = max(self._pieces, key=lambda piece: piece.samples * piece.dt_s).dt_s
+        same = [k for k, step_s in enumerate(steps_s) if abs(step_s - dt_s) < _SAME_RATE * dt_s]
+        found = lift_slope([ups[k] for k in same], [thrust[k] for k in same], [airs[k] for k in same], dt_s)
         if found is None:
             return None
         steep, _ = model.steepness(x, self._layout, self.mean_output)
-        share = share_of(climbs=climbs, battery=battery)
+        share = share_of(climbs=self._climbs, battery=battery)
         return float(np.log(found.ratio / share.mean * steep)), float(np.hypot(found.deviation, share.deviation))
 
     def _still(self, values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

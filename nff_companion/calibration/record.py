@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nff_companion.core.sample import Sample
 
 _GAP_PERIODS = 3.5  # longer, and a new piece begins
-_PIECE_MIN_S = 3.0
+PIECE_MIN_S = 3.0
 _ENDS_S = 1.0  # of each piece left out: take-off, landing, what came after a gap
 _FLYING = 0.6  # of the usual output
 NO_BATTERY = np.zeros((0, 2))
@@ -82,7 +82,7 @@ def record(
     pieces = []
     for first, last in pairwise(ends):
         begin, end = np.searchsorted(time_s[first:last], (time_s[first] + _ENDS_S, time_s[last - 1] - _ENDS_S)) + first
-        if end - begin > 2 and time_s[end - 1] - time_s[begin] >= _PIECE_MIN_S:
+        if end - begin > 2 and time_s[end - 1] - time_s[begin] >= PIECE_MIN_S:
             pieces.append(_piece(flown[begin:end], time_s[begin:end], dt_s, battery))
     return Record(pieces)
 

@@ -17,7 +17,7 @@ from nff_companion.calibration.airframe import Number
 from nff_companion.calibration.excitation import Verdict
 from nff_companion.calibration.fit import Course, Fit
 from nff_companion.calibration.order import Weighed
-from nff_companion.calibration.record import Piece, Record, record
+from nff_companion.calibration.record import PIECE_MIN_S, Piece, Record, record
 from nff_companion.core import toml_file
 from nff_companion.core import vehicle as vehicles
 from nff_companion.core.airframe_file import AirframeFile
@@ -122,7 +122,7 @@ def _shortened(whole: Record, most_s: float) -> Record:
     """The first ``most_s`` of it."""
     pieces, left_s = list[Piece](), most_s
     for piece in whole.pieces:
-        if left_s <= 0.0:
+        if left_s < PIECE_MIN_S:
             break
         pieces.append(piece.first(left_s))
         left_s -= piece.samples * piece.dt_s

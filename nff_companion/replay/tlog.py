@@ -29,6 +29,7 @@ _SIGNATURE = 13
 _SIGNED = 0x01
 _LEAST = _STAMP.size + 8
 _DAY_US = 86_400_000_000
+_JUMP_S = 1.0
 _NO_VOLTAGE_V = 65.5  # and more, in SYS_STATUS: not known
 _SERVOS = 16  # that SERVO_OUTPUT_RAW has
 _MOTORS = {
@@ -241,4 +242,6 @@ def _battery(heard: _Heard, rows: list[Row]) -> NDArray[np.float64]:
     if not len(known) or not rows:
         return NO_BATTERY
     arrived, sampled = np.array([(stamp, sample.time_s) for stamp, sample in rows]).T
+    if (np.diff(arrived) < 0.0).any() or (np.diff(sampled) < -_JUMP_S).any():
+        return NO_BATTERY  # the clock of either was set: which reading is when is not known
     return np.column_stack([np.interp(known[:, 0], arrived, sampled), known[:, 1]])
