@@ -369,3 +369,21 @@ def test_a_curve_that_the_autopilot_was_told_is_that_of_the_file(
     start = vehicles.load("octo-x").command
     assert [command[key] for key in held] == [getattr(start, key) for key in held]
     assert not {f"command.{key}" for key in held} & {number.key for number in found.numbers}
+
+
+def test_pieces_with_and_without_velocity_are_calibrated_together(rng: np.random.Generator) -> None:
+    vehicle = changed(OCTO, *UNFILTERED)
+    (first,), (second,) = (flown(vehicle, rng, 12.0).pieces for _ in range(2))
+    moving = replace(second, velocity_m_s=0.1 * rng.standard_normal((second.samples, 3)))
+    for pieces in ([first, moving], [moving, first]):
+        assert np.isfinite(fitted(Record(pieces), vehicle).x).all()
+
+
+@pytest.mark.parametrize("beyond_s", [0.03, 0.5, 1.0, 2.9])
+def test_no_piece_is_cut_so_short_that_nothing_can_be_made_of_it(beyond_s: float, rng: np.random.Generator) -> None:
+    piece = flown(changed(OCTO, *UNFILTERED), rng, 12.0).pieces[0]
+    length_s = piece.samples * piece.dt_s
+    cut = calibrate._shortened(Record([piece, piece]), length_s + beyond_s)
+    assert [p.samples for p in cut.pieces] == [piece.samples]
+    cut = calibrate._shortened(Record([piece, piece]), length_s + 3.5)
+    assert cut.duration_s == pytest.approx(length_s + 3.5, abs=0.01)

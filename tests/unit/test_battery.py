@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nff_companion.calibration.battery import sag
 from nff_companion.core import vehicle
-from nff_companion.mavlink.codec import dialect
+from nff_companion.mavlink.codec import Codec, dialect
 from nff_companion.replay.run import flights, reading
 
 DT_S, LATE_S = 0.005, 0.5
@@ -82,3 +82,20 @@ def test_a_log_without_voltage_has_no_readings(tmp_path: Path) -> None:
         log_files.dataflash(tmp_path / "a.bin"),
     ):
         assert reading(flights(path)[0], OCTO).battery.shape == (0, 2)
+
+
+@pytest.mark.parametrize("clock", ["autopilot's", "ground station's"])
+def test_a_clock_that_was_set_leaves_no_reading(clock: str, tmp_path: Path) -> None:
+    rows = [row for row in log_files.records() if row[2].get_type() != "SYS_STATUS"]
+    told = dialect.MAVLink_sys_status_message(0, 0, 0, 0, 22_000, -1, -1, 0, 0, 0, 0, 0, 0)
+    frames = [(t, frame) for t, frame, _ in rows]
+    middle = len(frames) // 2
+    reading_of_it = (frames[middle][0], Codec(1, 1).pack(told))
+    before, after = [*frames[:middle], reading_of_it], frames[middle:]
+    if clock == "autopilot's":
+        later_s = frames[-1][0] - frames[0][0] + 1.0
+        written = before + after + [(t + later_s, frame) for t, frame in frames]  # the same clock again: a reboot
+    else:
+        written = before + [(t - 3.0, frame) for t, frame in after]
+    path = log_files.write_tlog(tmp_path / "a.tlog", written)
+    assert reading(flights(path)[0], OCTO).battery.shape == (0, 2)
