@@ -127,19 +127,19 @@ class Handover:
         return np.asarray(state.wrench * math.exp(-max(time_s - state.begun_s, 0.0) / self._tuning.let_go_s))
 
     def _taken_off(self, state: HandoverState, base: Plan, time_s: float, estimate: Estimate) -> HandoverState:
-        """With what is asked for on account of the motors that are declared and that only ``base`` does not count on.
+        """With what is asked for on account of what is believed lost, and that ``base`` first does not count on.
 
         Torque alone: whether anybody has made up for the lift is not known, and too much of it does no harm.
         """
-        lost = np.flatnonzero(estimate.failed & (state.counts > 0.0))
         heard = state.heard_s / self._tuning.wind_up_s
         # What came before the first sample is taken to have been as it was then.
         known = 1.0 - math.exp(-heard) * (1.0 + heard)
         lag = state.lag[1] / max(known, self._tuning.known_min)
-        columns = self._accelerations[:, lost] / self._scale[:, None]
+        lost = self._lost(state, estimate)
+        columns = self._accelerations @ lost / self._scale[:, None]
         share = np.linalg.lstsq(columns, lag / self._scale, rcond=None)[0]
-        most = estimate.thrust_shown[lost] * state.counts[lost]
-        wrench = self._left(state, time_s) + self._nominal[:, lost] @ np.clip(share, 0.0, np.maximum(most, 0.0))
+        most = np.maximum(estimate.thrust_shown, 0.0) @ lost
+        wrench = self._left(state, time_s) + self._nominal @ (lost @ np.clip(share, 0.0, most))
         wrench[THRUST] = 0.0
         return replace(
             state,
@@ -149,6 +149,16 @@ class Handover:
             begun_s=time_s,
             lag=np.zeros_like(state.lag),
         )
+
+    def _lost(self, state: HandoverState, estimate: Estimate) -> NDArray[np.float64]:
+        """(m, k) Shares of the motors in each loss that the mixing in force still counts on: a declared motor, or one
+        of two of which it is not known which; once it is, half of both has been taken off, and that is as much."""
+        m = len(state.counts)
+        losses = [np.eye(m)[motor] for motor in np.flatnonzero(estimate.failed & (state.counts > HALF))]
+        pair = list(estimate.either)
+        if pair and (state.counts[pair] > HALF).all():
+            losses.append(np.where(np.isin(np.arange(m), pair), HALF, 0.0))
+        return np.stack(losses, axis=1) if losses else np.zeros((m, 0))
 
     def _made(self, state: HandoverState, sent: Plan, time_s: float, estimate: Estimate) -> HandoverState:
         """With the plan for what is left of the wrench, of ``sent``."""

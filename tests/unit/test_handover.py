@@ -13,12 +13,18 @@ from nff_companion.allocation import allocator
 from nff_companion.allocation.handover import Handover, HandoverState
 from nff_companion.allocation.plan import Plan, carried, make_plan
 from nff_companion.allocation.planner import Planner, PlannerState
+from nff_companion.core import vehicle as vehicles
 from nff_companion.core.estimate import Estimate
 from nff_companion.core.tuning import Tuning
 from nff_companion.core.vehicle import THRUST, Vehicle
 from nff_companion.verdict import numbers
 
 DT_S = 0.005
+
+
+@pytest.fixture(scope="module")
+def coax() -> Vehicle:
+    return vehicles.load("coax-x8")
 
 
 class Flight:
@@ -209,3 +215,28 @@ def test_a_clock_that_is_set_back_does_not_hold_what_is_let_go(octo: Vehicle) ->
     flight.time_s -= 3.0
     flight.fly(8.0 * Tuning().handover.let_go_s, (3,))
     assert flight.state.plan is None
+
+
+def test_of_one_of_two_it_is_what_is_right_for_both(coax: Vehicle) -> None:
+    """Half of what the two have given: the same for either, but about yaw."""
+    flight, pair = Flight(coax), mates_of_first(coax)
+    flight.fly(3.0)
+    flight.fly(2.0, (1,))
+    thrust, believed = np.full(coax.motors, coax.hover), np.ones(coax.motors)
+    believed[list(pair)] = 0.5
+    lacking = coax.acceleration_effectiveness @ (thrust * (believed - np.where(np.arange(coax.motors) == 0, 0.0, 1.0)))
+    for _ in range(2):
+        estimate = replace(hovering(coax), residual=-lacking, either=pair)
+        flight.time_s += DT_S
+        flight.planning = flight.planner.step(flight.planning, flight.time_s, estimate)
+        flight.state = flight.handover.step(flight.state, flight.time_s, DT_S, estimate, flight.planning, in_force=True)
+    expected = coax.effectiveness[:, list(pair)].mean(axis=1) * coax.hover
+    np.testing.assert_allclose(flight.state.wrench[1:3], expected[1:3], atol=0.02)
+    assert flight.state.wrench[THRUST] == 0.0
+
+
+def mates_of_first(vehicle: Vehicle) -> tuple[int, int]:
+    """Indices of motor 1 and the one above or below it."""
+    apart = np.linalg.norm(vehicle.position_m - vehicle.position_m[0], axis=1)
+    apart[0] = np.inf
+    return 0, int(apart.argmin())
