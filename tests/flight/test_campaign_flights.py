@@ -186,7 +186,7 @@ def test_the_operators_word_for_one_of_the_two_is_for_both() -> None:
 def test_one_of_the_two_stays_believed_when_the_telemetry_stops() -> None:
     flight, companion = of_one_arm()
     fly_to(flight, 3.0)
-    plan = companion.output.plan
+    plan = companion.session.state.planning.plan
     assert companion.output.either == (3, 8)
     assert plan is not None
     while flight.fleet.time_s < 5.0:
