@@ -137,7 +137,10 @@ class Handover:
         lag = state.lag[1] / max(known, self._tuning.known_min)
         lost = self._lost(state, estimate)
         columns = self._accelerations @ lost / self._scale[:, None]
-        share = np.linalg.lstsq(columns, lag / self._scale, rcond=None)[0]
+        try:
+            share = np.linalg.lstsq(columns, lag / self._scale, rcond=None)[0]
+        except np.linalg.LinAlgError:  # the matrix as it is: this is never worth a step
+            share = np.zeros(lost.shape[1])
         most = np.maximum(estimate.thrust_shown, 0.0) @ lost
         wrench = self._left(state, time_s) + self._nominal @ (lost @ np.clip(share, 0.0, most))
         wrench[THRUST] = 0.0

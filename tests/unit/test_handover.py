@@ -240,3 +240,33 @@ def mates_of_first(vehicle: Vehicle) -> tuple[int, int]:
     apart = np.linalg.norm(vehicle.position_m - vehicle.position_m[0], axis=1)
     apart[0] = np.inf
     return 0, int(apart.argmin())
+
+
+def test_without_a_solution_the_matrix_is_sent_as_it_is(octo: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = Flight(octo)
+    flight.fly(3.0)
+    flight.fly(2.0, (3,))
+    flight.declare(3)
+
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("no convergence")
+
+    estimate = flight.estimate((3,))
+    flight.planning = flight.planner.step(flight.planning, flight.time_s + DT_S, estimate)
+    monkeypatch.setattr(np.linalg, "lstsq", fails)
+    flight.state = flight.handover.step(
+        flight.state, flight.time_s + DT_S, DT_S, estimate, flight.planning, in_force=True
+    )
+    assert not flight.state.wrench.any()
+    assert flight.sent is flight.planning.plan
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_not_kept(octo: Vehicle, bad: float) -> None:
+    flight = Flight(octo)
+    flight.fly(3.0)
+    estimate = replace(hovering(octo), residual=np.full(octo.axes, bad))
+    before = flight.state
+    flight.state = flight.handover.step(before, flight.time_s + DT_S, DT_S, estimate, flight.planning, in_force=True)
+    np.testing.assert_array_equal(flight.state.lag, before.lag)
+    assert np.isfinite(flight.state.wrench).all()
